@@ -1,7 +1,7 @@
 //! Station 8: (action, length, random numbers) → code, from tables in flash.
 //!
 //! Two kinds of table share one shape. `ClipCodes`: a component is a training clip's own code; a draw takes one clip of
-//! the interval, moves a random share of the way towards another, and adds noise of the interval's σ.
+//! the interval, moves a random share of the way towards another, and adds noise of one σ per number, shared by all clips.
 //! `DiagonalMixture`: a component is a Gaussian with its own σ per number.
 //!
 //! Why here: full covariances do not fit a microcontroller, and clip codes at one byte a number scored better than
@@ -40,8 +40,8 @@ struct Interval {
     action: u16,
     frames_min: u16,
     frames_max: u16,
-    /// Standard deviation of the noise, code units.
-    sigma: u16,
+    /// Factor on the shared noise, Q4.12.
+    spread: u16,
     member_first: u32,
     member_count: u32,
 }
@@ -50,7 +50,7 @@ impl Interval {
     fn parse(record: &[u8]) -> Option<Self> {
         let mut halves = u16s(record.get(..8)?);
         let (action, frames_min) = (halves.next()?, halves.next()?);
-        let (frames_max, sigma) = (halves.next()?, halves.next()?);
+        let (frames_max, spread) = (halves.next()?, halves.next()?);
         let mut words = i32s(record.get(8..)?).map(i32::cast_unsigned);
         let (member_first, member_count) = (words.next()?, words.next()?);
         Some(Self {
@@ -188,11 +188,16 @@ impl<'a> Sampler<'a> {
         let fraction = (i64::from(random()) * i64::from(self.step_max_q16)) >> 32;
         let from = self.mean(self.component_of(interval, chosen));
         let to = self.mean(self.component_of(interval, neighbour));
-        let mut noisy = |value| add_noise(value, i32::from(interval.sigma) << 8, random);
+        let spread = i64::from(interval.spread);
+        let sigmas =
+            i32s(self.deviation_steps).map(|step| ((i64::from(step) * spread) >> 12) as i32);
+        let means = from
+            .zip(to)
+            .map(|(from, to)| interpolate(from, to, fraction));
         Code {
-            values: from
-                .zip(to)
-                .map(|(from, to)| noisy(interpolate(from, to, fraction)))
+            values: means
+                .zip(sigmas)
+                .map(|(mean, sigma)| add_noise(mean, sigma, random))
                 .collect(),
         }
     }
