@@ -57,7 +57,7 @@ impl Interval {
             action,
             frames_min,
             frames_max,
-            sigma,
+            spread,
             member_first,
             member_count,
         })
