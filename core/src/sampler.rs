@@ -289,3 +289,92 @@ fn add_noise(value: i16, sigma_q8: i32, random: &mut impl FnMut() -> u32) -> i16
 fn saturate(value: i32) -> i16 {
     value.clamp(i32::from(i16::MIN), i32::from(i16::MAX)) as i16
 }
+
+#[cfg(test)]
+mod tests {
+    use std::vec::Vec;
+
+    use crate::manifest::{NumberFormat, SamplerKind};
+    use crate::specimen::specimen;
+    use crate::{ActionId, Model, Pcg32, SampleError};
+
+    #[test]
+    fn unknown_action_is_rejected() {
+        let blob = specimen(NumberFormat::W8A16, SamplerKind::ClipCodes);
+        let model = Model::from_bytes(&blob).unwrap();
+        let error = model.sample(ActionId(2), 10, &mut || 0).unwrap_err();
+        assert_eq!(
+            error,
+            SampleError::UnknownAction {
+                action: 2,
+                count: 2
+            }
+        );
+    }
+
+    #[test]
+    fn length_outside_training_is_rejected_with_the_trained_range() {
+        let blob = specimen(NumberFormat::W8A16, SamplerKind::ClipCodes);
+        let model = Model::from_bytes(&blob).unwrap();
+        for frames in [0, 9, 31, u32::MAX] {
+            let error = model.sample(ActionId(0), frames, &mut || 0).unwrap_err();
+            assert_eq!(
+                error,
+                SampleError::OutsideTraining {
+                    frames,
+                    frames_min: 10,
+                    frames_max: 30
+                }
+            );
+        }
+    }
+
+    #[test]
+    fn seed_gives_the_same_code_and_another_seed_another() {
+        for kind in [SamplerKind::ClipCodes, SamplerKind::DiagonalMixture] {
+            let blob = specimen(NumberFormat::W8A16, kind);
+            let model = Model::from_bytes(&blob).unwrap();
+            let draw = |seed| {
+                let mut random = Pcg32::new(seed);
+                model
+                    .sample(ActionId(1), 44, &mut || random.next_u32())
+                    .unwrap()
+            };
+            assert_eq!(draw(1), draw(1));
+            assert_ne!(draw(1), draw(2));
+        }
+    }
+
+    #[test]
+    fn clip_codes_have_the_shared_noise_around_their_clips() {
+        // Action 0 from 20 frames on has one clip: the mean is its code, σ is 30,000 / 2^8 code units.
+        let blob = specimen(NumberFormat::W8A16, SamplerKind::ClipCodes);
+        let model = Model::from_bytes(&blob).unwrap();
+        let mut random = Pcg32::new(3);
+        let draws: Vec<Vec<f64>> = (0..20_000)
+            .map(|_| {
+                let code = model
+                    .sample(ActionId(0), 25, &mut || random.next_u32())
+                    .unwrap();
+                code.values()
+                    .iter()
+                    .map(|&value| f64::from(value))
+                    .collect()
+            })
+            .collect();
+        let count = draws.len() as f64;
+        for column in 0..3 {
+            let mean = draws.iter().map(|draw| draw[column]).sum::<f64>() / count;
+            let variance = draws
+                .iter()
+                .map(|draw| (draw[column] - mean).powi(2))
+                .sum::<f64>()
+                / count;
+            assert!(
+                (variance.sqrt() / 117.19 - 1.0).abs() < 0.02,
+                "σ {}",
+                variance.sqrt()
+            );
+        }
+    }
+}
