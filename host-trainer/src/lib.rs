@@ -4,8 +4,10 @@
 
 pub mod error;
 pub mod layout;
+pub mod rotation;
 pub mod skeleton;
 pub mod clip;
+pub mod represent;
 pub mod dataset;
 pub mod float_model;
 pub mod checkpoint;
