@@ -4,8 +4,13 @@
 
 pub mod error;
 pub mod layout;
+pub mod rotation;
 pub mod skeleton;
+pub mod infer_skeleton;
+pub mod kinematics;
+pub mod body;
 pub mod clip;
+pub mod represent;
 pub mod dataset;
 pub mod float_model;
 pub mod checkpoint;
