@@ -1,0 +1,3 @@
+//! What the user types, one file per verb: arguments in, library calls, text out.
+
+pub mod inspect_clips;
