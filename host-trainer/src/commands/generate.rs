@@ -7,7 +7,7 @@ use crate::error::{Error, Result};
 use crate::export::{self, Format, Motion};
 use crate::generate::{Request, generate_blob, generate_float};
 use crate::inspect_blob::load;
-use crate::mixture_set::MixtureSet;
+use crate::mixture_file;
 use crate::picture;
 
 /// Arguments of `generate`.
@@ -83,7 +83,7 @@ fn generate_all(args: &GenerateArgs) -> Result<Vec<Motion>> {
     });
     if args.source.is_dir() {
         let checkpoint = Checkpoint::load(&args.source)?;
-        let mixtures = MixtureSet::of_run(&args.source, &checkpoint)?;
+        let mixtures = mixture_file::of_checkpoint(&args.source, &checkpoint)?;
         return requests.map(|request| generate_float(&checkpoint, &mixtures, &request)).collect();
     }
     let blob = read_blob(&args.source)?;
