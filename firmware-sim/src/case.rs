@@ -31,7 +31,11 @@ impl Case {
 
     /// The positions, first to last.
     pub fn positions(&self) -> impl Iterator<Item = FramePosition> {
-        let Self { first_bits, step_bits, .. } = *self;
+        let Self {
+            first_bits,
+            step_bits,
+            ..
+        } = *self;
         (0..u32::from(self.pose_count)).map(move |index| {
             FramePosition::from_bits(first_bits.wrapping_add(index.wrapping_mul(step_bits)))
         })

@@ -37,10 +37,11 @@ pub enum Error {
         source: std::io::Error,
     },
     /// Bytes that `core` refuses.
-    #[error("not a usable blob: {reason}; make one with `host-trainer quantize`")]
+    #[error("{file}: not a usable blob: {reason}; make one with `host-trainer quantize`")]
     Blob {
+        /// Where the bytes come from.
+        file: String,
         /// The refusal of `karakuri::Model::from_bytes`.
-        #[from]
         reason: karakuri::BlobError,
     },
     /// A program that has to be installed.
@@ -69,6 +70,15 @@ pub enum Error {
     },
 }
 
+impl From<karakuri::BlobError> for Error {
+    fn from(reason: karakuri::BlobError) -> Self {
+        Self::Blob {
+            file: "blob".to_owned(),
+            reason,
+        }
+    }
+}
+
 impl Error {
     /// Builds [`Error::BadInput`] from anything printable.
     pub fn bad_input(
@@ -93,7 +103,22 @@ impl Error {
         path: impl Into<PathBuf>,
     ) -> impl FnOnce(std::io::Error) -> Self {
         let path = path.into();
-        move |source| Self::Io { path, action, source }
+        move |source| Self::Io {
+            path,
+            action,
+            source,
+        }
+    }
+
+    /// Says of which file an error of bytes speaks.
+    pub fn in_file(self, path: &Path) -> Self {
+        match self {
+            Self::Blob { reason, .. } => Self::Blob {
+                file: path.display().to_string(),
+                reason,
+            },
+            other => other,
+        }
     }
 
     /// Whether the machine lacks a program: a test may then skip, loudly.

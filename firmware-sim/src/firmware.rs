@@ -51,11 +51,15 @@ impl Firmware {
         let toolchain = Toolchain::find(target, source)?;
         let folder = build_folder(target)?;
         let _lock = lock(&folder)?;
-        let blob_path = store(&folder.join("blob.kara"), blob)?;
+        let blob_path = store(folder.join("blob.kara"), blob)?;
         let cases: Vec<u8> = cases.iter().flat_map(Case::to_bytes).collect();
-        let cases_path = store(&folder.join("cases.bin"), &cases)?;
+        let cases_path = store(folder.join("cases.bin"), &cases)?;
         // Without the feature the workspace has no room for floats, as in a product with an integer model.
-        let features = if model.number_format() == NumberFormat::F16 { "f16" } else { "" };
+        let features = if model.number_format() == NumberFormat::F16 {
+            "f16"
+        } else {
+            ""
+        };
         let output = toolchain
             .build_command()
             .args(["--bin", PROGRAM, "--features", features, "--target-dir"])
@@ -69,10 +73,15 @@ impl Firmware {
             .map_err(Error::io("start cargo in", source))?;
         if !output.status.success() {
             let log = last_lines(&String::from_utf8_lossy(&output.stderr));
-            return Err(Error::Build { target: target.name(), log });
+            return Err(Error::Build {
+                target: target.name(),
+                log,
+            });
         }
         let built = folder.join(target.triple()).join("release").join(PROGRAM);
-        Ok(Self { elf: copy_away(&built)? })
+        Ok(Self {
+            elf: copy_away(&built)?,
+        })
     }
 
     /// The ELF file.
@@ -98,11 +107,11 @@ fn lock(folder: &Path) -> Result<File> {
 }
 
 /// Writes `bytes` unless they are there already: cargo rebuilds whatever has a newer date.
-fn store<'a>(path: &'a Path, bytes: &[u8]) -> Result<&'a Path> {
-    if fs::read(path).is_ok_and(|stored| stored == bytes) {
+fn store(path: PathBuf, bytes: &[u8]) -> Result<PathBuf> {
+    if fs::read(&path).is_ok_and(|stored| stored == bytes) {
         return Ok(path);
     }
-    fs::write(path, bytes).map_err(Error::io("write", path))?;
+    fs::write(&path, bytes).map_err(Error::io("write", &path))?;
     Ok(path)
 }
 

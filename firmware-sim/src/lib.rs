@@ -16,6 +16,19 @@ pub mod qemu;
 pub mod transcript;
 pub mod parity;
 
+// compare: checkpoint → reference → pairs of poses → error table
+pub mod checkpoint;
+pub mod reference;
+pub mod rotation;
+pub mod error_table;
+pub mod compare;
+
+pub mod commands;
+
+#[cfg(test)]
+mod fixture;
+
+pub use compare::{Comparison, compare};
 pub use error::{Error, Result};
 pub use parity::{Parity, run_parity};
 pub use target::Target;

@@ -39,7 +39,11 @@ impl Qemu<'_> {
     /// [`Error::MissingTool`] without the emulator; [`Error::Firmware`] after a non-zero exit code or a time-out.
     pub fn run(&self, elf: &Path, target: Target, mut on_line: impl FnMut(&str)) -> Result<()> {
         let mut guest = Guest(self.start(elf, target)?);
-        let errors = guest.0.stderr.take().map(|stream| thread::spawn(move || read_all(stream)));
+        let errors = guest
+            .0
+            .stderr
+            .take()
+            .map(|stream| thread::spawn(move || read_all(stream)));
         let lines = guest.0.stdout.take().map(spawn_reader);
         let deadline = Instant::now() + self.time_limit;
         let mut log = Vec::new();
@@ -51,15 +55,26 @@ impl Qemu<'_> {
         });
         if !in_time {
             let reason = format!("no end after {} s", self.time_limit.as_secs());
-            return Err(Error::Firmware { reason, log: log.join("\n") });
+            return Err(Error::Firmware {
+                reason,
+                log: log.join("\n"),
+            });
         }
-        let status = guest.0.wait().map_err(Error::io("wait for", self.program))?;
+        let status = guest
+            .0
+            .wait()
+            .map_err(Error::io("wait for", self.program))?;
         if status.success() {
             return Ok(());
         }
-        let errors = errors.and_then(|thread| thread.join().ok()).unwrap_or_default();
+        let errors = errors
+            .and_then(|thread| thread.join().ok())
+            .unwrap_or_default();
         errors.lines().for_each(|line| remember(&mut log, line));
-        Err(Error::Firmware { reason: status.to_string(), log: log.join("\n") })
+        Err(Error::Firmware {
+            reason: status.to_string(),
+            log: log.join("\n"),
+        })
     }
 
     /// Finds out before a long build.
