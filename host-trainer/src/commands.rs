@@ -4,4 +4,5 @@ pub mod bench;
 pub mod clips;
 pub mod inspect_clips;
 pub mod quantize;
+pub mod reconstruct;
 pub mod train;

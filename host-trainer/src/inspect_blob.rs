@@ -122,6 +122,11 @@ impl BlobReport {
     }
 }
 
+/// The bytes of a blob's file.
+pub fn read_blob(path: &Path) -> Result<Vec<u8>> {
+    std::fs::read(path).map_err(Error::io("read", path))
+}
+
 /// `Model::from_bytes` with the file's name in the error.
 pub fn load<'a>(path: &Path, blob: &'a [u8]) -> Result<Model<'a>> {
     Model::from_bytes(blob).map_err(|reason| Error::Blob {

@@ -36,4 +36,5 @@ pub mod quantize_sampler;
 pub mod quantize;
 pub mod table;
 pub mod inspect_blob;
+pub mod reconstruct;
 pub mod commands;
