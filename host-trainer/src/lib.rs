@@ -14,3 +14,8 @@ pub mod represent;
 pub mod dataset;
 pub mod float_model;
 pub mod checkpoint;
+pub mod export;
+pub mod svg;
+pub mod picture;
+pub mod stick_figures;
+pub mod curves;
