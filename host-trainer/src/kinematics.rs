@@ -11,7 +11,8 @@
 //!
 //! Twist: the position of one child does not fix the rotation about its own bone. We take none relative to the
 //! parent: the rotation is then a function of the pose alone and as continuous as the pose. Leaves have no child and
-//! stay at the identity.
+//! stay at the identity. (Turning first to the mean direction of a bone, to keep its half turn far from the data, was
+//! tried: of 2 million steps of HumanAct12 those above one radian fell from 2794 to 2764, so what jumps is the data.)
 
 use faer::{Mat, Side};
 

@@ -450,22 +450,10 @@ mod tests {
     #[test]
     fn positions_are_relative_and_come_back() {
         let original: Vec<f32> = (0..18).map(|x| (x * x) as f32).collect();
-        let set = clip_set(3, vec![clip("c", original.clone())]);
+        let set = clip_set(3, vec![clip("c", original)]);
         let set = represent(set, Representation::Positions, None).unwrap();
         assert_eq!(set.layout.channel_count(), 9);
         assert_eq!(set.layout.groups[0].kind, GroupKind::Translation);
-        for (pose, original) in set.clips[0]
-            .poses
-            .chunks_exact(9)
-            .zip(original.chunks_exact(9))
-        {
-            let found = to_joint_positions(&set.layout, pose, None).unwrap();
-            for (found, expected) in found.iter().flatten().zip(original) {
-                // The first frame's root was (0, 1, 4): only that is taken away for good.
-                let axis = found;
-                assert!(axis.is_finite() && expected.is_finite());
-            }
-        }
         let first = to_joint_positions(&set.layout, &set.clips[0].poses[..9], None).unwrap();
         assert_eq!(first, [[0.0; 3], [9.0, 15.0, 21.0], [36.0, 48.0, 60.0]]);
         let second = to_joint_positions(&set.layout, &set.clips[0].poses[9..], None).unwrap();
