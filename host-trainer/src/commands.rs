@@ -1,4 +1,5 @@
-//! One file a command line verb: arguments in, library calls, words out.
+//! What the user types, one file per verb: arguments in, library calls, text out.
 
+pub mod inspect_clips;
 pub mod train;
 pub mod bench;

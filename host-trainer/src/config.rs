@@ -13,7 +13,10 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use toml::{Table, Value};
 
+pub use crate::dataset::Standardization;
 use crate::error::{Error, Result};
+pub use crate::mixture::MixtureConfig;
+pub use crate::represent::Representation;
 
 /// Names and texts of the built-in presets.
 pub const PRESETS: [(&str, &str); 4] = [
@@ -22,28 +25,6 @@ pub const PRESETS: [(&str, &str); 4] = [
     ("small", include_str!("../presets/small.toml")),
     ("tiny", include_str!("../presets/tiny.toml")),
 ];
-
-/// How joints are presented to the decoder; see `represent`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Representation {
-    /// As the clips are.
-    AsIs,
-    /// Joint positions relative to the root, and the root's translation.
-    Positions,
-    /// Joint rotations in 6D, and the root's translation.
-    Rotations,
-}
-
-/// Whether channels are brought to mean 0 and scale 1.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Standardization {
-    /// Mean per channel, one scale per channel group.
-    Group,
-    /// Channels stay in their units.
-    None,
-}
 
 /// How squared errors of channels become one loss.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -93,16 +74,6 @@ pub enum ScheduleShape {
     Constant,
     /// Half a cosine, from the full rate to 0.
     Cosine,
-}
-
-/// Covariance of a mixture's components.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Covariance {
-    /// Every pair of dimensions.
-    Full,
-    /// Every dimension for itself.
-    Diagonal,
 }
 
 macro_rules! section {
@@ -248,26 +219,6 @@ section! {
     }
 }
 
-section! {
-    /// The mixture over codes; see `mixture`.
-    MixtureConfig {
-        /// Most Gaussians per action and length interval.
-        components_max: usize,
-        /// Full or diagonal.
-        covariance: Covariance,
-        /// Codes drawn from every clip's Gaussian.
-        draws_per_clip: usize,
-        /// Narrowest length interval, frames.
-        interval_frames_min: usize,
-        /// Fewest clips in a length interval.
-        interval_clips_min: usize,
-        /// Fits with one number of components before the next smaller one.
-        attempts_max: usize,
-        /// Added to every variance, as a share of the draws' mean variance.
-        regularization: f64,
-    }
-}
-
 impl TrainConfig {
     /// A built-in preset.
     ///
@@ -319,7 +270,10 @@ impl TrainConfig {
     }
 
     /// Refuses values that no run could use.
-    fn check(&self, source: &Path) -> Result<()> {
+    ///
+    /// # Errors
+    /// `BadInput` naming the first key whose value is out of range.
+    pub fn check(&self, source: &Path) -> Result<()> {
         let rules: [(&str, String, bool, &str); 17] = [
             rule("decoder.hidden_widths", format!("{:?}", self.decoder.hidden_widths),
                 !self.decoder.hidden_widths.is_empty()

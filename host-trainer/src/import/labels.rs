@@ -1,0 +1,287 @@
+//! Says which action each clip shows: by a table, by a pattern on the file name, or by the folder's name.
+//!
+//! In:  clip files and [`LabelOptions`].
+//! Out: one action per clip, in the same order.
+
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use regex::Regex;
+
+use super::files::{ClipFile, LABELS_FILE};
+use super::{ImportOptions, Remarks};
+use crate::error::{Error, Result};
+
+/// Where the actions come from.
+#[derive(Clone, Debug, Default)]
+pub enum LabelSource {
+    /// `labels.csv` beside the clips or one folder up; failing that the folders' names if there are several.
+    #[default]
+    Auto,
+    /// This table.
+    File(PathBuf),
+    /// The first capture group of this pattern on the clip's name.
+    Pattern(Regex),
+    /// The name of the folder that holds the clip.
+    Folder,
+}
+
+/// What the user may say about labels.
+#[derive(Clone, Debug, Default)]
+pub struct LabelOptions {
+    /// Where actions come from.
+    pub source: LabelSource,
+    /// Column of the table that names the clip; `None`: the first.
+    pub clip_column: Option<String>,
+    /// Column of the table that names the action; `None`: the one called `action` or `label`, or the second of two.
+    pub action_column: Option<String>,
+    /// A TOML file `action = ["name", …]` that maps many names to one action.
+    pub groups: Option<PathBuf>,
+}
+
+/// Columns taken for the action when the user names none.
+const ACTION_COLUMNS: [&str; 2] = ["action", "label"];
+
+impl LabelOptions {
+    /// Whether `path` is the table the user named, and so not a clip.
+    pub(crate) fn is_labels_file(&self, path: &Path) -> bool {
+        matches!(&self.source, LabelSource::File(file) if same_file(file, path))
+    }
+
+    /// Labels by the only capture group of `pattern` on the clip's name.
+    ///
+    /// # Errors
+    /// [`Error::BadInput`] if `pattern` is no regular expression or has another number of groups.
+    pub fn with_pattern(mut self, pattern: &str) -> Result<Self> {
+        let refused = |value: String| {
+            let expected = "a regular expression with one capture group, such as ^([a-z]+)";
+            Error::bad_input("--label-pattern", "pattern", value, expected, "correct it")
+        };
+        let regex = Regex::new(pattern).map_err(|error| refused(error.to_string()))?;
+        if regex.captures_len() != 2 {
+            return Err(refused(pattern.to_string()));
+        }
+        self.source = LabelSource::Pattern(regex);
+        Ok(self)
+    }
+}
+
+fn same_file(one: &Path, other: &Path) -> bool {
+    one == other || matches!((one.canonicalize(), other.canonicalize()), (Ok(a), Ok(b)) if a == b)
+}
+
+/// The action of every file.
+pub(crate) fn actions(
+    files: &[ClipFile],
+    options: &ImportOptions,
+    remarks: &mut Remarks,
+) -> Result<Vec<String>> {
+    let mut labels = labels(files, &options.labels, remarks)?;
+    if let Some(path) = &options.labels.groups {
+        group(path, &mut labels, remarks)?;
+    }
+    let missing = files.iter().zip(&labels).find(|(_, label)| label.is_none());
+    match missing.filter(|_| !options.tolerate_missing_labels) {
+        None => Ok(labels.into_iter().map(Option::unwrap_or_default).collect()),
+        Some((file, _)) => {
+            let count = labels.iter().filter(|label| label.is_none()).count();
+            let value = format!("missing (as for {count} of {} clips)", files.len());
+            let expected = "a row in labels.csv, a match of --label-pattern, or --label-folder";
+            let remedy = "add the row, or remove the clip";
+            Err(Error::bad_input(
+                &file.path, "label", value, expected, remedy,
+            ))
+        }
+    }
+}
+
+fn labels(
+    files: &[ClipFile],
+    options: &LabelOptions,
+    remarks: &mut Remarks,
+) -> Result<Vec<Option<String>>> {
+    let by_folder = || files.iter().map(|file| Some(file.folder_name())).collect();
+    match &options.source {
+        LabelSource::File(path) => by_table(files, path, options, remarks),
+        LabelSource::Pattern(pattern) => Ok(by_pattern(files, pattern)),
+        LabelSource::Folder => Ok(by_folder()),
+        LabelSource::Auto => match (table_beside(files), has_several_folders(files)) {
+            (Some(path), _) => by_table(files, &path, options, remarks),
+            (None, true) => Ok(by_folder()),
+            (None, false) => Ok(vec![None; files.len()]),
+        },
+    }
+}
+
+fn has_several_folders(files: &[ClipFile]) -> bool {
+    let folders: BTreeSet<_> = files.iter().map(|file| file.path.parent()).collect();
+    folders.len() > 1
+}
+
+/// `labels.csv` in the clips' folder or its parent.
+fn table_beside(files: &[ClipFile]) -> Option<PathBuf> {
+    let folder = files.first()?.path.parent()?;
+    [Some(folder), folder.parent()]
+        .into_iter()
+        .flatten()
+        .map(|folder| folder.join(LABELS_FILE))
+        .find(|path| path.is_file())
+}
+
+fn by_pattern(files: &[ClipFile], pattern: &Regex) -> Vec<Option<String>> {
+    let label = |file: &ClipFile| {
+        let group = pattern.captures(&file.name)?.get(1)?;
+        Some(group.as_str().to_string()).filter(|label| !label.is_empty())
+    };
+    files.iter().map(label).collect()
+}
+
+fn by_table(
+    files: &[ClipFile],
+    path: &Path,
+    options: &LabelOptions,
+    remarks: &mut Remarks,
+) -> Result<Vec<Option<String>>> {
+    let mut table = read_table(path, options)?;
+    let mut take = |file: &ClipFile| {
+        let file_name = file.path.file_name().unwrap_or_default().to_string_lossy();
+        table
+            .remove(&file.name)
+            .or_else(|| table.remove(file_name.as_ref()))
+    };
+    let labels = files.iter().map(&mut take).collect();
+    if let Some(first) = table.keys().min() {
+        let count = table.len();
+        remarks.note(
+            path,
+            format!("{count} labels without a clip file (first: {first})"),
+        );
+    }
+    Ok(labels)
+}
+
+/// Reads clip name → action.
+fn read_table(path: &Path, options: &LabelOptions) -> Result<HashMap<String, String>> {
+    let bytes = fs::read(path).map_err(Error::io("read", path))?;
+    let mut reader = csv::ReaderBuilder::new()
+        .trim(csv::Trim::All)
+        .from_reader(bytes.as_slice());
+    let malformed = |error: csv::Error| {
+        let expected = "a table of comma-separated values in UTF-8";
+        Error::bad_input(path, "table", error, expected, "correct the line")
+    };
+    let header = reader.headers().map_err(malformed)?.clone();
+    let (clip_column, action_column) = choose_columns(path, &header, options)?;
+    let mut table = HashMap::new();
+    for record in reader.records() {
+        let record = record.map_err(malformed)?;
+        let (clip, action) = (&record[clip_column], &record[action_column]);
+        if action.is_empty() {
+            continue; // Reported as a missing label if the clip exists.
+        }
+        if let Some(first) = table.insert(clip.to_string(), action.to_string()) {
+            let line = record.position().map_or(0, csv::Position::line);
+            let field = format!("line {line}, clip {clip}");
+            let expected = format!("one row per clip (an earlier one says {first})");
+            return Err(Error::bad_input(
+                path,
+                field,
+                action,
+                expected,
+                "delete one",
+            ));
+        }
+    }
+    Ok(table)
+}
+
+fn choose_columns(
+    path: &Path,
+    header: &csv::StringRecord,
+    options: &LabelOptions,
+) -> Result<(usize, usize)> {
+    let all: Vec<&str> = header.iter().collect();
+    let find = |name: &str| header.iter().position(|column| column == name);
+    let named = |flag: &str, name: &str| {
+        let expected = format!("one of the columns {}", all.join(", "));
+        find(name).ok_or_else(|| Error::bad_input(path, flag, name, expected, "correct the flag"))
+    };
+    let clip = match &options.clip_column {
+        Some(name) => named("--label-clip-column", name)?,
+        None => 0,
+    };
+    let action = match &options.action_column {
+        Some(name) => Some(named("--label-action-column", name)?),
+        None => ACTION_COLUMNS
+            .iter()
+            .find_map(|name| find(name))
+            .or((all.len() == 2).then_some(1 - clip.min(1))),
+    };
+    let ambiguous = || {
+        let expected = "a column called action or label, or two columns";
+        let remedy = "choose one with --label-action-column";
+        Error::bad_input(path, "header", all.join(","), expected, remedy)
+    };
+    Ok((clip, action.ok_or_else(ambiguous)?))
+}
+
+/// Replaces every label by the action that lists it.
+fn group(path: &Path, labels: &mut [Option<String>], remarks: &mut Remarks) -> Result<()> {
+    let actions = read_groups(path)?;
+    let used: BTreeSet<&String> = labels.iter().flatten().collect();
+    let unknown: Vec<&str> = used
+        .iter()
+        .filter(|label| !actions.contains_key(**label))
+        .map(|label| label.as_str())
+        .collect();
+    if !unknown.is_empty() {
+        let expected = "every label of the clips in one of the groups";
+        let remedy = "add them to a group";
+        return Err(Error::bad_input(
+            path,
+            "missing labels",
+            unknown.join(", "),
+            expected,
+            remedy,
+        ));
+    }
+    for unused in actions.keys().filter(|name| !used.contains(name)) {
+        remarks.note(path, format!("label {unused} occurs in no clip"));
+    }
+    for label in labels.iter_mut().flatten() {
+        label.clone_from(&actions[label.as_str()]);
+    }
+    Ok(())
+}
+
+/// Reads label → action.
+fn read_groups(path: &Path) -> Result<BTreeMap<String, String>> {
+    let text = fs::read_to_string(path).map_err(Error::io("read", path))?;
+    let groups: BTreeMap<String, Vec<String>> = toml::from_str(&text).map_err(|error| {
+        let expected = "lines such as happy = [\"cheerful\", \"laughing\"]";
+        Error::bad_input(
+            path,
+            "groups",
+            error.message(),
+            expected,
+            "correct the file",
+        )
+    })?;
+    let mut actions = BTreeMap::new();
+    for (action, names) in groups {
+        for name in names {
+            if let Some(first) = actions.insert(name.clone(), action.clone()) {
+                let value = format!("in {first} and in {action}");
+                return Err(Error::bad_input(
+                    path,
+                    name,
+                    value,
+                    "one group",
+                    "delete it from one",
+                ));
+            }
+        }
+    }
+    Ok(actions)
+}
