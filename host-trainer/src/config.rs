@@ -13,10 +13,10 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use toml::{Table, Value};
 
-pub use crate::dataset::Standardization;
+use crate::dataset::Standardization;
 use crate::error::{Error, Result};
-pub use crate::mixture::MixtureConfig;
-pub use crate::represent::Representation;
+use crate::mixture::MixtureConfig;
+use crate::represent::Representation;
 
 /// Names and texts of the built-in presets.
 pub const PRESETS: [(&str, &str); 4] = [
@@ -237,7 +237,13 @@ impl TrainConfig {
         let text = fs::read_to_string(file).map_err(Error::io("read", file))?;
         let overrides: Table = text.parse().map_err(|error: toml::de::Error| {
             let remedy = "correct the syntax there";
-            Error::bad_input(file, "the text", error.to_string().trim_end(), "TOML", remedy)
+            Error::bad_input(
+                file,
+                "the text",
+                error.to_string().trim_end(),
+                "TOML",
+                remedy,
+            )
         })?;
         let mut table = preset_table(name)?;
         override_keys(&mut table, overrides, "", file)?;
@@ -249,7 +255,9 @@ impl TrainConfig {
     /// # Errors
     /// `BadInput` for anything but a complete and valid configuration.
     pub fn from_toml(text: &str, source: &Path) -> Result<Self> {
-        let table = text.parse::<Table>().map_err(|error| incomplete(&error, source))?;
+        let table = text
+            .parse::<Table>()
+            .map_err(|error| incomplete(&error, source))?;
         Self::from_table(table, source)
     }
 
@@ -264,7 +272,9 @@ impl TrainConfig {
     }
 
     fn from_table(table: Table, source: &Path) -> Result<Self> {
-        let config: Self = table.try_into().map_err(|error| incomplete(&error, source))?;
+        let config: Self = table
+            .try_into()
+            .map_err(|error| incomplete(&error, source))?;
         config.check(source)?;
         Ok(config)
     }
@@ -275,47 +285,123 @@ impl TrainConfig {
     /// `BadInput` naming the first key whose value is out of range.
     pub fn check(&self, source: &Path) -> Result<()> {
         let rules: [(&str, String, bool, &str); 17] = [
-            rule("decoder.hidden_widths", format!("{:?}", self.decoder.hidden_widths),
+            rule(
+                "decoder.hidden_widths",
+                format!("{:?}", self.decoder.hidden_widths),
                 !self.decoder.hidden_widths.is_empty()
-                    && self.decoder.hidden_widths.iter().all(|width| (1..=65_535).contains(width)),
-                "one width or more, each 1 to 65535"),
-            rule("time.sinusoid_count", self.time.sinusoid_count,
+                    && self
+                        .decoder
+                        .hidden_widths
+                        .iter()
+                        .all(|width| (1..=65_535).contains(width)),
+                "one width or more, each 1 to 65535",
+            ),
+            rule(
+                "time.sinusoid_count",
+                self.time.sinusoid_count,
                 self.time.sinusoid_count >= 2 && self.time.sinusoid_count % 2 == 0,
-                "an even number of 2 or more"),
-            rule("time.base", self.time.base, self.time.base > 1.0 && self.time.base.is_finite(),
-                "a number above 1"),
-            rule("codes.sequence_dimensions", self.codes.sequence_dimensions,
-                self.codes.sequence_dimensions >= 1, "1 or more"),
-            rule("codes.action_dimensions", self.codes.action_dimensions,
-                self.codes.action_dimensions >= 1, "1 or more"),
-            rule("codes.log_variance_start", self.codes.log_variance_start,
-                self.codes.log_variance_start.abs() <= 20.0, "a number from -20 to 20"),
-            rule("loss.kl_weight", self.loss.kl_weight,
-                self.loss.kl_weight >= 0.0 && self.loss.kl_weight.is_finite(), "0 or more"),
-            rule("batch.clips", self.batch.clips, self.batch.clips >= 1, "1 or more"),
-            rule("batch.frames", self.batch.frames, self.batch.frames >= 1, "1 or more"),
-            rule("update.gradient_norm_max", self.update.gradient_norm_max,
-                self.update.gradient_norm_max >= 0.0, "0 (off) or more"),
-            rule("adam.decoder_learning_rate", self.adam.decoder_learning_rate,
-                (0.0..=1.0).contains(&self.adam.decoder_learning_rate), "a number from 0 to 1"),
-            rule("adam.code_learning_rate", self.adam.code_learning_rate,
-                (0.0..=1.0).contains(&self.adam.code_learning_rate), "a number from 0 to 1"),
-            rule("adam.beta1", self.adam.beta1, (0.0..1.0).contains(&self.adam.beta1),
-                "0 or more, below 1"),
-            rule("adam.beta2", self.adam.beta2, (0.0..1.0).contains(&self.adam.beta2),
-                "0 or more, below 1"),
-            rule("adam.epsilon", self.adam.epsilon, self.adam.epsilon > 0.0, "above 0"),
-            rule("budget.steps", self.budget.steps,
+                "an even number of 2 or more",
+            ),
+            rule(
+                "time.base",
+                self.time.base,
+                self.time.base > 1.0 && self.time.base.is_finite(),
+                "a number above 1",
+            ),
+            rule(
+                "codes.sequence_dimensions",
+                self.codes.sequence_dimensions,
+                self.codes.sequence_dimensions >= 1,
+                "1 or more",
+            ),
+            rule(
+                "codes.action_dimensions",
+                self.codes.action_dimensions,
+                self.codes.action_dimensions >= 1,
+                "1 or more",
+            ),
+            rule(
+                "codes.log_variance_start",
+                self.codes.log_variance_start,
+                self.codes.log_variance_start.abs() <= 20.0,
+                "a number from -20 to 20",
+            ),
+            rule(
+                "loss.kl_weight",
+                self.loss.kl_weight,
+                self.loss.kl_weight >= 0.0 && self.loss.kl_weight.is_finite(),
+                "0 or more",
+            ),
+            rule(
+                "batch.clips",
+                self.batch.clips,
+                self.batch.clips >= 1,
+                "1 or more",
+            ),
+            rule(
+                "batch.frames",
+                self.batch.frames,
+                self.batch.frames >= 1,
+                "1 or more",
+            ),
+            rule(
+                "update.gradient_norm_max",
+                self.update.gradient_norm_max,
+                self.update.gradient_norm_max >= 0.0,
+                "0 (off) or more",
+            ),
+            rule(
+                "adam.decoder_learning_rate",
+                self.adam.decoder_learning_rate,
+                (0.0..=1.0).contains(&self.adam.decoder_learning_rate),
+                "a number from 0 to 1",
+            ),
+            rule(
+                "adam.code_learning_rate",
+                self.adam.code_learning_rate,
+                (0.0..=1.0).contains(&self.adam.code_learning_rate),
+                "a number from 0 to 1",
+            ),
+            rule(
+                "adam.beta1",
+                self.adam.beta1,
+                (0.0..1.0).contains(&self.adam.beta1),
+                "0 or more, below 1",
+            ),
+            rule(
+                "adam.beta2",
+                self.adam.beta2,
+                (0.0..1.0).contains(&self.adam.beta2),
+                "0 or more, below 1",
+            ),
+            rule(
+                "adam.epsilon",
+                self.adam.epsilon,
+                self.adam.epsilon > 0.0,
+                "above 0",
+            ),
+            rule(
+                "budget.steps",
+                self.budget.steps,
                 self.budget.steps >= 1 || self.budget.minutes > 0.0,
-                "1 or more, unless `minutes` is above 0"),
-            rule("budget.minutes", self.budget.minutes,
-                self.budget.minutes >= 0.0 && self.budget.minutes.is_finite(), "0 or more"),
+                "1 or more, unless `minutes` is above 0",
+            ),
+            rule(
+                "budget.minutes",
+                self.budget.minutes,
+                self.budget.minutes >= 0.0 && self.budget.minutes.is_finite(),
+                "0 or more",
+            ),
         ];
         match rules.into_iter().find(|rule| !rule.2) {
             None => Ok(()),
-            Some((key, value, _, expected)) => {
-                Err(Error::bad_input(source, key, value, expected, "correct the value"))
-            }
+            Some((key, value, _, expected)) => Err(Error::bad_input(
+                source,
+                key,
+                value,
+                expected,
+                "correct the value",
+            )),
         }
     }
 }
@@ -332,10 +418,20 @@ fn rule<'a>(
 
 fn preset_table(name: &str) -> Result<Table> {
     let names = PRESETS.map(|(name, _)| name).join(", ");
-    let (_, text) = PRESETS.into_iter().find(|(preset, _)| *preset == name).ok_or_else(|| {
-        Error::bad_input("--preset", "name", name, &names, "choose one of these names")
-    })?;
-    text.parse().map_err(|error| incomplete(&error, Path::new(name)))
+    let (_, text) = PRESETS
+        .into_iter()
+        .find(|(preset, _)| *preset == name)
+        .ok_or_else(|| {
+            Error::bad_input(
+                "--preset",
+                "name",
+                name,
+                &names,
+                "choose one of these names",
+            )
+        })?;
+    text.parse()
+        .map_err(|error| incomplete(&error, Path::new(name)))
 }
 
 /// Replaces the preset's values by the user's, key by key.
@@ -357,7 +453,13 @@ fn override_keys(preset: &mut Table, overrides: Table, section: &str, file: &Pat
             (target, value) if target.same_type(&value) => *target = value,
             (target, value) => {
                 let expected = format!("a value of type {}, as {target}", target.type_str());
-                return Err(Error::bad_input(file, path, value, expected, "correct the value"));
+                return Err(Error::bad_input(
+                    file,
+                    path,
+                    value,
+                    expected,
+                    "correct the value",
+                ));
             }
         }
     }
@@ -366,7 +468,13 @@ fn override_keys(preset: &mut Table, overrides: Table, section: &str, file: &Pat
 
 fn incomplete(error: &toml::de::Error, source: &Path) -> Error {
     let expected = "a complete configuration";
-    Error::bad_input(source, "the configuration", error.to_string().trim_end(), expected, "correct that key")
+    Error::bad_input(
+        source,
+        "the configuration",
+        error.to_string().trim_end(),
+        expected,
+        "correct that key",
+    )
 }
 
 #[cfg(test)]
@@ -390,7 +498,10 @@ mod tests {
     fn unknown_key_is_rejected_with_its_path_and_the_known_keys() {
         let message = with_file("[adam]\nbeta3 = 0.5").unwrap_err().to_string();
         assert!(message.contains("own.toml: adam.beta3"), "{message}");
-        assert!(message.contains("beta1") && message.contains("spelling"), "{message}");
+        assert!(
+            message.contains("beta1") && message.contains("spelling"),
+            "{message}"
+        );
     }
 
     #[test]
@@ -408,7 +519,10 @@ mod tests {
             ("seed = ", "TOML"),
         ] {
             let message = with_file(text).unwrap_err().to_string();
-            assert!(message.contains(word) && message.contains("own.toml"), "{text}: {message}");
+            assert!(
+                message.contains(word) && message.contains("own.toml"),
+                "{text}: {message}"
+            );
         }
     }
 
@@ -426,7 +540,10 @@ mod tests {
     fn every_key_of_every_preset_has_a_comment() {
         for (name, text) in PRESETS {
             for line in text.lines().filter(|line| line.contains(" = ")) {
-                assert!(line.contains(" # ") || line.starts_with('#'), "{name}: {line}");
+                assert!(
+                    line.contains(" # ") || line.starts_with('#'),
+                    "{name}: {line}"
+                );
             }
         }
     }

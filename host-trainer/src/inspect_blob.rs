@@ -94,7 +94,11 @@ impl BlobReport {
             rate_hz: f64::from(manifest.rate_millihz) / 1000.0,
             groups: groups_of(&model),
             actions: actions_of(&model),
-            layers: manifest.layers.iter().map(|shape| (shape.input_count, shape.output_count)).collect(),
+            layers: manifest
+                .layers
+                .iter()
+                .map(|shape| (shape.input_count, shape.output_count))
+                .collect(),
             sampler: match manifest.sampler.kind {
                 SamplerKind::ClipCodes => "clip codes",
                 SamplerKind::DiagonalMixture => "diagonal mixture",
@@ -107,15 +111,28 @@ impl BlobReport {
             ram_bytes: ram_bytes(&model),
             multiply_accumulates_per_motion: model.multiply_accumulates_per_motion(),
             multiply_accumulates_per_pose: model.multiply_accumulates_per_pose(),
-            config_hash: manifest.provenance.config_hash.iter().map(|byte| format!("{byte:02x}")).collect(),
+            config_hash: manifest
+                .provenance
+                .config_hash
+                .iter()
+                .map(|byte| format!("{byte:02x}"))
+                .collect(),
             seed: manifest.provenance.seed,
         })
     }
 }
 
+/// The bytes of a blob's file.
+pub fn read_blob(path: &Path) -> Result<Vec<u8>> {
+    std::fs::read(path).map_err(Error::io("read", path))
+}
+
 /// `Model::from_bytes` with the file's name in the error.
 pub fn load<'a>(path: &Path, blob: &'a [u8]) -> Result<Model<'a>> {
-    Model::from_bytes(blob).map_err(|reason| Error::Blob { path: path.into(), reason: reason.to_string() })
+    Model::from_bytes(blob).map_err(|reason| Error::Blob {
+        path: path.into(),
+        reason: reason.to_string(),
+    })
 }
 
 fn groups_of(model: &Model<'_>) -> Vec<GroupReport> {
@@ -132,7 +149,11 @@ fn actions_of(model: &Model<'_>) -> Vec<ActionReport> {
     let report = |(action, name): (u16, &str)| {
         let frames = model.trained_frames(ActionId(action));
         let seconds = |frames: u32| f64::from(frames) / rate_hz;
-        ActionReport { name: name.into(), seconds_min: seconds(*frames.start()), seconds_max: seconds(*frames.end()) }
+        ActionReport {
+            name: name.into(),
+            seconds_min: seconds(*frames.start()),
+            seconds_max: seconds(*frames.end()),
+        }
     };
     (0..).zip(model.actions()).map(report).collect()
 }
@@ -142,11 +163,17 @@ fn parts_of(model: &Model<'_>, bytes: usize) -> Vec<PartReport> {
     for (kind, length) in tensor_plan(model.manifest()).filter(|(_, length)| *length > 0) {
         match parts.iter_mut().find(|report| report.part == kind.part()) {
             Some(report) => report.bytes += length,
-            None => parts.push(PartReport { part: kind.part(), bytes: length }),
+            None => parts.push(PartReport {
+                part: kind.part(),
+                bytes: length,
+            }),
         }
     }
     let rest = bytes as u64 - parts.iter().map(|report| report.bytes).sum::<u64>();
-    parts.push(PartReport { part: "header, names, alignment", bytes: rest });
+    parts.push(PartReport {
+        part: "header, names, alignment",
+        bytes: rest,
+    });
     parts
 }
 
@@ -163,15 +190,30 @@ fn ram_bytes(model: &Model<'_>) -> usize {
 
 impl fmt::Display for BlobReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let layers: Vec<String> =
-            self.layers.iter().map(|(inputs, outputs)| format!("{inputs}→{outputs}")).collect();
-        writeln!(out, "{} ({}, {} Hz, seed {})", self.name, self.format, self.rate_hz, self.seed)?;
+        let layers: Vec<String> = self
+            .layers
+            .iter()
+            .map(|(inputs, outputs)| format!("{inputs}→{outputs}"))
+            .collect();
+        writeln!(
+            out,
+            "{} ({}, {} Hz, seed {})",
+            self.name, self.format, self.rate_hz, self.seed
+        )?;
         writeln!(out, "config      {}", self.config_hash)?;
-        writeln!(out, "layers      {}  (code half, time half, …)", layers.join("  "))?;
+        writeln!(
+            out,
+            "layers      {}  (code half, time half, …)",
+            layers.join("  ")
+        )?;
         writeln!(
             out,
             "sampler     {}: {} components in {} length intervals; codes of {} + {} numbers",
-            self.sampler, self.component_count, self.interval_count, self.code_counts.0, self.code_counts.1
+            self.sampler,
+            self.component_count,
+            self.interval_count,
+            self.code_counts.0,
+            self.code_counts.1
         )?;
         writeln!(
             out,
@@ -179,11 +221,19 @@ impl fmt::Display for BlobReport {
             thousands(self.multiply_accumulates_per_pose),
             thousands(self.multiply_accumulates_per_motion)
         )?;
-        writeln!(out, "RAM         {} bytes\n", thousands(self.ram_bytes as u64))?;
+        writeln!(
+            out,
+            "RAM         {} bytes\n",
+            thousands(self.ram_bytes as u64)
+        )?;
         let mut actions = Table::new(["action", "shortest s", "longest s"]);
         for action in &self.actions {
             let seconds = |seconds: f64| format!("{seconds:.2}");
-            actions.push([action.name.clone(), seconds(action.seconds_min), seconds(action.seconds_max)]);
+            actions.push([
+                action.name.clone(),
+                seconds(action.seconds_min),
+                seconds(action.seconds_max),
+            ]);
         }
         writeln!(out, "{actions}")?;
         let mut groups = Table::new(["group", "kind", "unit"]);

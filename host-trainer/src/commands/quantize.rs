@@ -9,12 +9,15 @@ use crate::atomic_file;
 use crate::checkpoint::Checkpoint;
 use crate::error::{Error, Result};
 use crate::inspect_blob::BlobReport;
+use crate::mixture_file;
 use crate::mixture_set::MixtureSet;
 use crate::quantize::{QuantizeInput, Quantized, quantize};
 
 /// Arguments of `quantize`.
 #[derive(Clone, Debug, clap::Args)]
-#[command(after_help = "Example:\n  host-trainer quantize runs/creature --format w8a16 --out creature.kara")]
+#[command(
+    after_help = "Example:\n  host-trainer quantize runs/creature --format w8a16 --out creature.kara"
+)]
 pub struct QuantizeArgs {
     /// Folder of the trained run.
     pub run: PathBuf,
@@ -86,20 +89,40 @@ pub fn run(args: &QuantizeArgs) -> Result<()> {
         ));
     }
     let checkpoint = Checkpoint::load(&args.run)?;
-    let mixtures = MixtureSet::of_run(&args.run, &checkpoint)?;
-    let name = args.run.file_name().map_or_else(|| "model".into(), |name| name.to_string_lossy());
-    let quantized = quantize_checkpoint(&name, &checkpoint, &mixtures, args.format.into(), args.sampler.into())?;
-    atomic_file::replace(&args.out, |file| std::io::Write::write_all(file, &quantized.blob))?;
+    let mixtures = mixture_file::of_checkpoint(&args.run, &checkpoint)?;
+    let name = args
+        .run
+        .file_name()
+        .map_or_else(|| "model".into(), |name| name.to_string_lossy());
+    let quantized = quantize_checkpoint(
+        &name,
+        &checkpoint,
+        &mixtures,
+        args.format.into(),
+        args.sampler.into(),
+    )?;
+    atomic_file::replace(&args.out, |file| {
+        std::io::Write::write_all(file, &quantized.blob)
+    })?;
     let report = BlobReport::new(&args.out, &quantized.blob)?;
     if args.json {
-        println!("{}", serde_json::to_string_pretty(&report).unwrap_or_default());
+        println!(
+            "{}",
+            serde_json::to_string_pretty(&report).unwrap_or_default()
+        );
         return Ok(());
     }
     print!("{report}");
     if !quantized.accumulator_use.is_empty() {
-        let shares: Vec<String> =
-            quantized.accumulator_use.iter().map(|share| format!("{:.0} %", 100.0 * share)).collect();
-        println!("\naccumulators proven to stay below 2^31, worst row of each layer: {}", shares.join("  "));
+        let shares: Vec<String> = quantized
+            .accumulator_use
+            .iter()
+            .map(|share| format!("{:.0} %", 100.0 * share))
+            .collect();
+        println!(
+            "\naccumulators proven to stay below 2^31, worst row of each layer: {}",
+            shares.join("  ")
+        );
     }
     eprintln!("wrote {}", args.out.display());
     Ok(())

@@ -5,14 +5,13 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use crate::checkpoint::Checkpoint;
+use crate::commands::clips::read_clip_data;
 use crate::commands::inspect_clips::ImportArgs;
-use crate::config::{Representation, TrainConfig};
-use crate::dataset::{self, Dataset, DatasetOptions};
+use crate::commands::reconstruct::{Row, error_table};
+use crate::config::TrainConfig;
 use crate::error::{Error, Result};
-use crate::import;
-use crate::reconstruction::reconstruction_error;
-use crate::represent::represent;
-use crate::skeleton::Skeleton;
+use crate::reconstruct::{Source, reconstruct};
+use crate::represent::Representation;
 use crate::train::{Progress, Start, TrainOptions, train};
 
 /// What the user types after `train`.
@@ -58,18 +57,29 @@ pub struct TrainArgs {
 /// Those of reading clips, of the configuration and of [`train`]; [`Error::Interrupted`] after Ctrl-C.
 pub fn run(args: &TrainArgs) -> Result<()> {
     let config = configure(args)?;
-    let dataset = obtain_dataset(args, &config)?;
+    let data = read_clip_data(&args.clips, &args.import, &config)?;
     let stop = stop_on_interrupt(&args.out)?;
     let options = TrainOptions {
-        start: if args.resume { Start::Resume } else { Start::New },
+        start: if args.resume {
+            Start::Resume
+        } else {
+            Start::New
+        },
         thread_count: args.threads,
         stop: &stop,
         resume_command: &resume_command(std::env::args()),
         progress: Progress::Bar,
     };
-    let checkpoint = train(&dataset, &config, &args.out, &options)?;
+    let checkpoint = train(&data.dataset, &config, &args.out, &options)?;
     println!("{} steps, in {}", checkpoint.state.step, args.out.display());
-    print!("{}", reconstruction_error(&checkpoint, &dataset));
+    let reconstruction = reconstruct(&checkpoint, Source::Float, &data.dataset, &data.bones, 1);
+    print!(
+        "{}",
+        error_table(&[Row {
+            decoder: "float".into(),
+            reconstruction
+        }])
+    );
     Ok(())
 }
 
@@ -99,17 +109,6 @@ fn configure(args: &TrainArgs) -> Result<TrainConfig> {
     }
     config.check(Path::new("the command line"))?;
     Ok(config)
-}
-
-/// Clips on disk → what is trained on.
-fn obtain_dataset(args: &TrainArgs, config: &TrainConfig) -> Result<Dataset> {
-    let clips = import::read(&args.clips, &args.import.options()?)?;
-    for remark in &clips.remarks {
-        eprintln!("{remark}");
-    }
-    let skeleton = args.import.skeleton.as_deref().map(Skeleton::by_name_or_file).transpose()?;
-    let clips = represent(clips, config.representation, skeleton)?;
-    dataset::build(&clips, &DatasetOptions { standardization: config.standardization })
 }
 
 /// A flag that Ctrl-C and a polite kill set.
@@ -157,7 +156,10 @@ mod tests {
     fn resume_command_quotes_and_adds_the_flag_once() {
         let words = ["host-trainer", "train", "my clips", "--out", "it's"].map(String::from);
         let command = resume_command(words.into_iter());
-        assert_eq!(command, r"host-trainer train 'my clips' --out 'it'\''s' --resume");
+        assert_eq!(
+            command,
+            r"host-trainer train 'my clips' --out 'it'\''s' --resume"
+        );
         let again = resume_command(["t", "--resume"].map(String::from).into_iter());
         assert_eq!(again, "t --resume");
     }
