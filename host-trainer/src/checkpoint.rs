@@ -282,3 +282,88 @@ fn check_description(dataset: &DatasetDescription, file: &Path) -> Result<()> {
 pub fn hexadecimal(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::train::synthetic::{config, dataset};
+
+    fn saved(overrides: &str) -> (tempfile::TempDir, Checkpoint) {
+        let folder = tempfile::tempdir().unwrap();
+        let checkpoint = Checkpoint::start(&dataset(), &config(overrides));
+        checkpoint.save(folder.path()).unwrap();
+        (folder, checkpoint)
+    }
+
+    #[test]
+    fn cut_checkpoint_is_rejected_at_every_length() {
+        let (folder, _) = saved("");
+        let file = folder.path().join(Checkpoint::FILE_NAME);
+        let bytes = fs::read(&file).unwrap();
+        for len in (0..bytes.len()).step_by(97).chain([bytes.len() - 1]) {
+            fs::write(&file, &bytes[..len]).unwrap();
+            let message = Checkpoint::load(folder.path()).unwrap_err().to_string();
+            assert!(
+                message.contains("checkpoint.safetensors"),
+                "{len}: {message}"
+            );
+        }
+    }
+
+    #[test]
+    fn damaged_header_is_rejected_without_a_panic() {
+        let (_folder, checkpoint) = saved("");
+        let bytes = fs::read(_folder.path().join(Checkpoint::FILE_NAME)).unwrap();
+        let header_len = 8 + u64::from_le_bytes(bytes[..8].try_into().unwrap()) as usize;
+        for place in 0..header_len {
+            let mut damaged = bytes.clone();
+            damaged[place] ^= 0x01;
+            // Some changes are harmless (a name in the description); none may panic or change a shape.
+            if let Ok(loaded) = Checkpoint::from_bytes(&damaged, &PathBuf::from("damaged")) {
+                assert_eq!(
+                    loaded.model.parameter_count(),
+                    checkpoint.model.parameter_count()
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn foreign_file_is_rejected_with_a_remedy() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("x.safetensors");
+        fs::write(&file, b"\x02\0\0\0\0\0\0\0{}").unwrap();
+        let message = Checkpoint::load(&file).unwrap_err().to_string();
+        assert!(
+            message.contains("config") && message.contains("folder of a run"),
+            "{message}"
+        );
+        assert!(matches!(
+            Checkpoint::load(&folder.path().join("no")),
+            Err(Error::Io { .. })
+        ));
+    }
+
+    #[test]
+    fn checkpoint_survives_the_file_and_equal_ones_have_equal_bytes() {
+        for overrides in ["", "[update]\ndecoder_step = 'epoch'"] {
+            let (folder, checkpoint) = saved(overrides);
+            assert_eq!(Checkpoint::load(folder.path()).unwrap(), checkpoint);
+            let (again, _) = saved(overrides);
+            let bytes = |folder: &Path| fs::read(folder.join(Checkpoint::FILE_NAME)).unwrap();
+            assert!(bytes(folder.path()) == bytes(again.path()));
+        }
+    }
+
+    #[test]
+    fn unwritable_folder_is_an_error_and_leaves_the_old_checkpoint() {
+        let (folder, checkpoint) = saved("");
+        // A folder where the unfinished file would go makes its creation fail, as a full disk does.
+        fs::create_dir(folder.path().join("checkpoint.safetensors.partial")).unwrap();
+        assert!(matches!(
+            checkpoint.save(folder.path()),
+            Err(Error::Io { .. })
+        ));
+        assert_eq!(Checkpoint::load(folder.path()).unwrap(), checkpoint);
+    }
+}

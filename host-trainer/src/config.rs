@@ -280,7 +280,10 @@ impl TrainConfig {
     }
 
     /// Refuses values that no run could use.
-    fn check(&self, source: &Path) -> Result<()> {
+    ///
+    /// # Errors
+    /// `BadInput` naming the first key whose value is out of range.
+    pub fn check(&self, source: &Path) -> Result<()> {
         let rules: [(&str, String, bool, &str); 17] = [
             rule(
                 "decoder.hidden_widths",

@@ -85,13 +85,25 @@ pub fn reconstruct(
     let body = Body::new(&description.layout, description.skeleton.as_ref());
     let clips = 0..description.clips.len();
     let sums = clips.into_par_iter().map(|clip| {
-        let frames: Vec<usize> = (0..description.clips[clip].frame_count).step_by(stride.max(1)).collect();
+        let frames: Vec<usize> = (0..description.clips[clip].frame_count)
+            .step_by(stride.max(1))
+            .collect();
         let decoded = decode_clip(checkpoint, source, description, clip, &frames);
         let mut original = dataset.clip_poses(clip).to_vec();
         description.destandardize(&mut original);
-        compare(description, body.as_ref(), bones.get(clip), &original, &decoded, &frames)
+        compare(
+            description,
+            body.as_ref(),
+            bones.get(clip),
+            &original,
+            &decoded,
+            &frames,
+        )
     });
-    let sums = sums.collect::<Vec<_>>().into_iter().fold(Sums::default(), Sums::add);
+    let sums = sums
+        .collect::<Vec<_>>()
+        .into_iter()
+        .fold(Sums::default(), Sums::add);
     sums.finish(description, body.is_some())
 }
 
@@ -135,7 +147,10 @@ fn compare(
     frames: &[usize],
 ) -> Sums {
     let width = description.layout.channel_count();
-    let mut sums = Sums { groups: vec![(0.0, 0.0, 0.0); description.layout.groups.len()], ..Sums::default() };
+    let mut sums = Sums {
+        groups: vec![(0.0, 0.0, 0.0); description.layout.groups.len()],
+        ..Sums::default()
+    };
     for (decoded, &frame) in decoded.chunks_exact(width).zip(frames) {
         let original = &original[frame * width..(frame + 1) * width];
         sums.frame_count += 1;
@@ -157,16 +172,22 @@ fn compare(
 /// Magnitude of the difference: absolute value, Euclidean length, or angle in radians.
 fn group_error(kind: GroupKind, original: &[f32], decoded: &[f32]) -> f64 {
     if kind == GroupKind::Rotation6d {
-        let rotation = |channels: &[f32]| Rotation::from_6d(&std::array::from_fn(|i| f64::from(channels[i])));
+        let rotation =
+            |channels: &[f32]| Rotation::from_6d(&std::array::from_fn(|i| f64::from(channels[i])));
         return rotation(original).angle_to_rad(&rotation(decoded));
     }
-    let squares = original.iter().zip(decoded).map(|(a, b)| f64::from(a - b).powi(2));
+    let squares = original
+        .iter()
+        .zip(decoded)
+        .map(|(a, b)| f64::from(a - b).powi(2));
     squares.sum::<f64>().sqrt()
 }
 
 impl Sums {
     fn add_joints(&mut self, original: &[Vector], decoded: &[Vector]) {
-        let (Some(&root), Some(&decoded_root)) = (original.first(), decoded.first()) else { return };
+        let (Some(&root), Some(&decoded_root)) = (original.first(), decoded.first()) else {
+            return;
+        };
         self.joints.root_mm += length(subtract(root, decoded_root)) * original.len() as f64;
         for (&joint, &decoded_joint) in original.iter().zip(decoded) {
             self.joints.joint_mm += length(subtract(joint, decoded_joint));
@@ -178,7 +199,8 @@ impl Sums {
 
     fn add(mut self, other: Self) -> Self {
         self.frame_count += other.frame_count;
-        self.groups.resize(other.groups.len().max(self.groups.len()), (0.0, 0.0, 0.0));
+        self.groups
+            .resize(other.groups.len().max(self.groups.len()), (0.0, 0.0, 0.0));
         for (sum, add) in self.groups.iter_mut().zip(other.groups) {
             *sum = (sum.0 + add.0, sum.1 + add.1, sum.2 + add.2);
         }
@@ -193,7 +215,10 @@ impl Sums {
         let groups = description.layout.groups.iter().zip(self.groups);
         let mut merged: Vec<(GroupKind, Unit, (f64, f64, f64))> = Vec::new();
         for (group, sum) in groups {
-            match merged.iter_mut().find(|(kind, unit, _)| (*kind, *unit) == (group.kind, group.unit)) {
+            match merged
+                .iter_mut()
+                .find(|(kind, unit, _)| (*kind, *unit) == (group.kind, group.unit))
+            {
                 Some((_, _, all)) => *all = (all.0 + sum.0, all.1 + sum.1, all.2 + sum.2),
                 None => merged.push((group.kind, group.unit, sum)),
             }
@@ -201,25 +226,44 @@ impl Sums {
         let report = |(kind, unit, (squares, sum, count)): (GroupKind, Unit, (f64, f64, f64))| {
             let (unit, factor) = magnitude_unit(kind, unit);
             let count = count.max(1.0);
-            GroupError { kind: kind.name(), unit, rms: (squares / count).sqrt() * factor, mean: sum / count * factor }
+            GroupError {
+                kind: kind.name(),
+                unit,
+                rms: (squares / count).sqrt() * factor,
+                mean: sum / count * factor,
+            }
         };
-        let millimetres = root_unit(description).map_or(1.0, |unit| report_unit(unit).1) / self.joint_count.max(1.0);
+        let millimetres = root_unit(description).map_or(1.0, |unit| report_unit(unit).1)
+            / self.joint_count.max(1.0);
         let joints = is_body.then_some(JointError {
             joint_mm: self.joints.joint_mm * millimetres,
             root_mm: self.joints.root_mm * millimetres,
             local_mm: self.joints.local_mm * millimetres,
         });
-        Reconstruction { frame_count: self.frame_count, groups: merged.into_iter().map(report).collect(), joints }
+        Reconstruction {
+            frame_count: self.frame_count,
+            groups: merged.into_iter().map(report).collect(),
+            joints,
+        }
     }
 }
 
 fn root_unit(description: &DatasetDescription) -> Option<Unit> {
     let is_length = |kind| matches!(kind, GroupKind::Translation | GroupKind::Position);
-    description.layout.groups.iter().find(|group| is_length(group.kind)).map(|group| group.unit)
+    description
+        .layout
+        .groups
+        .iter()
+        .find(|group| is_length(group.kind))
+        .map(|group| group.unit)
 }
 
 /// The unit of a kind's error magnitudes in reports, and the factor to it.
 fn magnitude_unit(kind: GroupKind, unit: Unit) -> (&'static str, f64) {
     // The difference between rotations is an angle, whatever unit its channels have.
-    report_unit(if kind == GroupKind::Rotation6d { Unit::Radian } else { unit })
+    report_unit(if kind == GroupKind::Rotation6d {
+        Unit::Radian
+    } else {
+        unit
+    })
 }

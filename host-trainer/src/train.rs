@@ -348,3 +348,188 @@ fn progress_bar(progress: Progress) -> ProgressBar {
     let style = ProgressStyle::with_template("{bar:20} {percent}% {msg}");
     bar.with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
 }
+
+#[cfg(test)]
+pub mod synthetic;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use synthetic::{config, dataset};
+
+    fn options(start: Start, thread_count: usize, stop: &AtomicBool) -> TrainOptions<'_> {
+        TrainOptions {
+            start,
+            thread_count: Some(thread_count),
+            stop,
+            resume_command: "host-trainer train --resume",
+            progress: Progress::Hidden,
+        }
+    }
+
+    fn train_new(config: &TrainConfig, run: &Path) -> Result<Checkpoint> {
+        train(
+            &dataset(),
+            config,
+            run,
+            &options(Start::New, 1, &AtomicBool::new(false)),
+        )
+    }
+
+    fn resume(config: &TrainConfig, run: &Path) -> Result<Checkpoint> {
+        train(
+            &dataset(),
+            config,
+            run,
+            &options(Start::Resume, 1, &AtomicBool::new(false)),
+        )
+    }
+
+    fn bytes_of(run: &Path) -> Vec<u8> {
+        fs::read(run.join(Checkpoint::FILE_NAME)).unwrap()
+    }
+
+    /// As a kill after some steps leaves it: a checkpoint, no more.
+    fn killed_run(config: &TrainConfig, run: &Path, step_count: u64) {
+        let dataset = dataset();
+        let checkpoint = open_run(&dataset, config, run, Start::New).unwrap();
+        let mut trainer = Trainer::new(checkpoint, &dataset, Par::Seq);
+        for step in 0..step_count {
+            let done = progress(&config.budget, step, 0.0);
+            trainer.step(rate_factor(config.schedule.shape, done));
+        }
+        trainer.checkpoint.save(run).unwrap();
+    }
+
+    const VARIANTS: [&str; 4] = [
+        "",
+        "[update]\norder = 'alternate'\ndecoder_step = 'epoch'\ngradient_norm_max = 0.5",
+        "[update]\ncode_rows = 'dense'\n[loss]\nreduction = 'kind'",
+        "[codes]\naction_variational = false\n[update]\ndecoder_step = 'epoch'",
+    ];
+
+    #[test]
+    fn used_folder_is_refused_and_left_alone() {
+        let run = tempfile::tempdir().unwrap();
+        fs::write(run.path().join("mine"), "text").unwrap();
+        let message = train_new(&config(""), run.path()).unwrap_err().to_string();
+        assert!(message.contains("--resume"), "{message}");
+        assert_eq!(fs::read_dir(run.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn resuming_nothing_another_configuration_or_another_dataset_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let run = folder.path().join("run");
+        let message = resume(&config(""), &run).unwrap_err().to_string();
+        assert!(
+            message.contains("checkpoint") && message.contains("missing"),
+            "{message}"
+        );
+        train_new(&config(""), &run).unwrap();
+        let before = bytes_of(&run);
+        let message = resume(&config("[adam]\nbeta1 = 0.8"), &run)
+            .unwrap_err()
+            .to_string();
+        assert!(message.contains("beta1 = 0.8"), "{message}");
+        let mut other = dataset();
+        other.poses[7] += 0.1;
+        let stop = AtomicBool::new(false);
+        let refused = train(&other, &config(""), &run, &options(Start::Resume, 1, &stop));
+        assert!(refused.unwrap_err().to_string().contains("dataset"));
+        assert_eq!(bytes_of(&run), before);
+    }
+
+    #[test]
+    fn diverged_training_names_the_remedy_and_keeps_the_checkpoint() {
+        let folder = tempfile::tempdir().unwrap();
+        let run = folder.path().join("run");
+        let mut broken = dataset();
+        broken.poses[0] = f32::NAN;
+        let stop = AtomicBool::new(false);
+        let result = train(&broken, &config(""), &run, &options(Start::New, 1, &stop));
+        assert!(result.unwrap_err().to_string().contains("learning_rate"));
+        assert_eq!(Checkpoint::load(&run).unwrap().state.step, 0);
+    }
+
+    #[test]
+    fn resumed_run_ends_in_the_same_bytes_as_an_uninterrupted_one() {
+        for variant in VARIANTS {
+            let config = config(variant);
+            let folder = tempfile::tempdir().unwrap();
+            let (whole, cut) = (folder.path().join("whole"), folder.path().join("cut"));
+            train_new(&config, &whole).unwrap();
+            killed_run(&config, &cut, 17);
+            resume(&config, &cut).unwrap();
+            assert!(bytes_of(&whole) == bytes_of(&cut), "{variant}");
+        }
+    }
+
+    #[test]
+    fn number_of_threads_does_not_change_the_bytes() {
+        let folder = tempfile::tempdir().unwrap();
+        let (one, two) = (folder.path().join("one"), folder.path().join("two"));
+        let stop = AtomicBool::new(false);
+        let config = config("[decoder]\nhidden_widths = [300, 200]\n[batch]\nframes = 30");
+        train(&dataset(), &config, &one, &options(Start::New, 1, &stop)).unwrap();
+        train(&dataset(), &config, &two, &options(Start::New, 2, &stop)).unwrap();
+        assert!(bytes_of(&one) == bytes_of(&two));
+    }
+
+    #[test]
+    fn interrupted_run_is_saved_and_names_the_command_that_goes_on() {
+        let folder = tempfile::tempdir().unwrap();
+        let run = folder.path().join("run");
+        let stop = AtomicBool::new(true);
+        let result = train(
+            &dataset(),
+            &config(""),
+            &run,
+            &options(Start::New, 1, &stop),
+        );
+        assert!(
+            matches!(result, Err(Error::Interrupted { resume }) if resume.contains("--resume"))
+        );
+        let finished = resume(&config(""), &run).unwrap();
+        assert_eq!((finished.state.step, finished.state.finished), (40, true));
+        assert_eq!(finished, Checkpoint::load(&run).unwrap());
+    }
+
+    #[test]
+    fn every_variant_learns() {
+        for variant in VARIANTS {
+            let config = config(&format!("[budget]\nsteps = 1500\n{variant}"));
+            let folder = tempfile::tempdir().unwrap();
+            let run = folder.path().join("run");
+            train_new(&config, &run).unwrap();
+            let text = fs::read_to_string(run.join(MetricLog::FILE_NAME)).unwrap();
+            let last: MetricLine = serde_json::from_str(text.lines().last().unwrap()).unwrap();
+            assert!(last.reconstruction < 0.25, "{variant}: {last:?}");
+            assert!(run.join(PLOT_FILE_NAME).exists() && run.join(CONFIG_FILE_NAME).exists());
+        }
+    }
+
+    #[test]
+    fn lines_after_the_checkpoint_are_cut_off_on_resumption() {
+        let folder = tempfile::tempdir().unwrap();
+        let run = folder.path().join("run");
+        killed_run(&config(""), &run, 5);
+        let mut log = MetricLog::open(&run, 99).unwrap();
+        for step in [3, 5, 8] {
+            let mut sums = MetricSums::new(&dataset().description);
+            sums.add(&step::StepReport {
+                squared_errors: vec![1.0; 6],
+                row_count: 1,
+                ..Default::default()
+            });
+            log.push(sums.take_line(step).unwrap()).unwrap();
+        }
+        let steps: Vec<u64> = MetricLog::open(&run, 5)
+            .unwrap()
+            .lines
+            .iter()
+            .map(|line| line.step)
+            .collect();
+        assert_eq!(steps, [3, 5]);
+    }
+}

@@ -6,16 +6,18 @@ use serde::Serialize;
 
 use crate::checkpoint::{Checkpoint, dataset_hash};
 use crate::commands::clips::read_clip_data;
-use crate::inspect_blob::read_blob;
 use crate::commands::inspect_clips::ImportArgs;
 use crate::error::{Error, Result};
 use crate::inspect_blob::load;
+use crate::inspect_blob::read_blob;
 use crate::reconstruct::{Reconstruction, Source, reconstruct};
 use crate::table::{Table, thousands};
 
 /// Arguments of `reconstruct`.
 #[derive(Clone, Debug, clap::Args)]
-#[command(after_help = "Example:\n  host-trainer reconstruct runs/creature clips --blob creature.kara")]
+#[command(
+    after_help = "Example:\n  host-trainer reconstruct runs/creature clips --blob creature.kara"
+)]
 pub struct ReconstructArgs {
     /// Folder of the trained run.
     pub run: PathBuf,
@@ -54,13 +56,22 @@ pub fn run(args: &ReconstructArgs) -> Result<()> {
             &args.clips,
             "the dataset",
             "another one than the run's",
-            format!("the clips that {} was trained on, read by the same flags", args.run.display()),
+            format!(
+                "the clips that {} was trained on, read by the same flags",
+                args.run.display()
+            ),
             "give the same folder and flags as to train",
         ));
     }
     let mut rows = vec![Row {
         decoder: "float".into(),
-        reconstruction: reconstruct(&checkpoint, Source::Float, &data.dataset, &data.bones, args.stride),
+        reconstruction: reconstruct(
+            &checkpoint,
+            Source::Float,
+            &data.dataset,
+            &data.bones,
+            args.stride,
+        ),
     }];
     for path in &args.blob {
         let blob = read_blob(path)?;
@@ -68,14 +79,26 @@ pub fn run(args: &ReconstructArgs) -> Result<()> {
         let source = Source::Blob(&model);
         rows.push(Row {
             decoder: format!("{} ({})", path.display(), model.number_format().name()),
-            reconstruction: reconstruct(&checkpoint, source, &data.dataset, &data.bones, args.stride),
+            reconstruction: reconstruct(
+                &checkpoint,
+                source,
+                &data.dataset,
+                &data.bones,
+                args.stride,
+            ),
         });
     }
     if args.json {
-        println!("{}", serde_json::to_string_pretty(&rows).unwrap_or_default());
+        println!(
+            "{}",
+            serde_json::to_string_pretty(&rows).unwrap_or_default()
+        );
         return Ok(());
     }
-    println!("{} frames", thousands(rows[0].reconstruction.frame_count as u64));
+    println!(
+        "{} frames",
+        thousands(rows[0].reconstruction.frame_count as u64)
+    );
     print!("{}", error_table(&rows));
     Ok(())
 }
@@ -86,12 +109,28 @@ pub fn error_table(rows: &[Row]) -> Table {
     for row in rows {
         for group in &row.reconstruction.groups {
             let (rms, mean) = (format!("{:.3}", group.rms), format!("{:.3}", group.mean));
-            table.push([row.decoder.clone(), group.kind.into(), rms, mean, group.unit.into()]);
+            table.push([
+                row.decoder.clone(),
+                group.kind.into(),
+                rms,
+                mean,
+                group.unit.into(),
+            ]);
         }
         if let Some(joints) = row.reconstruction.joints {
-            let measures = [("joints", joints.joint_mm), ("root", joints.root_mm), ("joints, local", joints.local_mm)];
+            let measures = [
+                ("joints", joints.joint_mm),
+                ("root", joints.root_mm),
+                ("joints, local", joints.local_mm),
+            ];
             for (measure, mean) in measures {
-                table.push([row.decoder.clone(), measure.into(), String::new(), format!("{mean:.2}"), "mm".into()]);
+                table.push([
+                    row.decoder.clone(),
+                    measure.into(),
+                    String::new(),
+                    format!("{mean:.2}"),
+                    "mm".into(),
+                ]);
             }
         }
     }

@@ -133,3 +133,179 @@ fn add_rows_by_index(sums: &mut [f32], rows: &[f32], index_of_row: &[usize], wid
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::float_model::ModelShape;
+    use crate::random::{Purpose, stream};
+
+    const CODES: [f32; 10] = [0.5, -1.0, 0.3, 0.9, -0.2, 1.1, 0.4, -0.7, 0.6, 0.1];
+    const CODE_OF_ROW: [usize; 5] = [0, 0, 1, 1, 1];
+    const MOMENT_OF_ROW: [usize; 5] = [0, 2, 2, 1, 0];
+    const TIMES_FRAMES: [f64; 3] = [0.0, 4.0, 2.5];
+
+    fn small_model() -> FloatModel {
+        let shape = ModelShape {
+            sequence_code_count: 3,
+            action_code_count: 2,
+            sinusoid_count: 4,
+            frequency_base: 10.0,
+            hidden_widths: &[7, 6],
+            channel_count: 3,
+        };
+        FloatModel::random(&shape, &mut stream(3, Purpose::Weights, 0))
+    }
+
+    /// Slow, obvious and in f64: half the sum of squares of all poses.
+    fn reference_loss(model: &FloatModel, codes: &[f64]) -> f64 {
+        let mut loss = 0.0;
+        for (code, moment) in CODE_OF_ROW.into_iter().zip(MOMENT_OF_ROW) {
+            let mut values = codes[code * 5..][..5].to_vec();
+            for frequency_rad in &model.frequencies_rad {
+                let phase_rad = frequency_rad * TIMES_FRAMES[moment];
+                values.extend([phase_rad.sin(), phase_rad.cos()]);
+            }
+            for (index, layer) in model.layers.iter().enumerate() {
+                let is_last = index + 1 == model.layers.len();
+                let unit = |(weights, bias): (&[f32], &f32)| {
+                    let products = weights.iter().zip(&values).map(|(w, v)| f64::from(*w) * v);
+                    let sum = products.sum::<f64>() + f64::from(*bias);
+                    if sum < 0.0 && !is_last {
+                        sum.exp() - 1.0
+                    } else {
+                        sum
+                    }
+                };
+                let rows = layer.weights.chunks(layer.input_count).zip(&layer.bias);
+                values = rows.map(unit).collect();
+            }
+            loss += 0.5 * values.iter().map(|value| value * value).sum::<f64>();
+        }
+        loss
+    }
+
+    /// Loss and gradients by the engine.
+    fn engine_gradients(model: &FloatModel, par: Par) -> (f64, Vec<DenseLayer>, Vec<f32>) {
+        let mut tau = vec![0.0; TIMES_FRAMES.len() * 4];
+        for (row, time) in tau.chunks_exact_mut(4).zip(TIMES_FRAMES) {
+            model.embed_time(time, row);
+        }
+        let rows = Rows {
+            codes: &CODES,
+            tau: &tau,
+            code_of_row: &CODE_OF_ROW,
+            moment_of_row: &MOMENT_OF_ROW,
+        };
+        let mut workspace = Workspace::new(model, 2, 3, 5);
+        model.forward(&rows, par, &mut workspace);
+        let (poses, deltas) = workspace.output_and_delta(5);
+        deltas.copy_from_slice(poses);
+        let loss = 0.5 * poses.iter().map(|pose| f64::from(pose * pose)).sum::<f64>();
+        let mut decoder: Vec<_> = model.layers.iter().map(DenseLayer::zeros_like).collect();
+        let mut codes = vec![0.0; CODES.len()];
+        let wanted = Wanted {
+            decoder: Some(&mut decoder),
+            accumulate: Accum::Replace,
+            codes: Some(&mut codes),
+        };
+        model.backward(&rows, par, &mut workspace, wanted);
+        (loss, decoder, codes)
+    }
+
+    fn assert_close(analytic: f32, numeric: f64, what: &str) {
+        let difference = (f64::from(analytic) - numeric).abs();
+        assert!(
+            difference < 1e-5 * (1.0 + numeric.abs()),
+            "{what}: {analytic} {numeric}"
+        );
+    }
+
+    #[test]
+    fn loss_equals_the_f64_reference() {
+        let model = small_model();
+        let (loss, _, _) = engine_gradients(&model, Par::Seq);
+        assert!((loss - reference_loss(&model, &CODES.map(f64::from))).abs() < 1e-6);
+    }
+
+    #[test]
+    fn weight_and_bias_gradients_equal_finite_differences() {
+        let model = small_model();
+        let (_, gradient, _) = engine_gradients(&model, Par::Seq);
+        let codes = CODES.map(f64::from);
+        // The difference quotient uses the step as f32 really made it, so only the f64 reference's own error is left.
+        let quotient = |place: &dyn Fn(&mut FloatModel) -> &mut f32| {
+            let (mut above, mut below) = (model.clone(), model.clone());
+            *place(&mut above) += 1e-3;
+            *place(&mut below) -= 1e-3;
+            let step = f64::from(*place(&mut above)) - f64::from(*place(&mut below));
+            (reference_loss(&above, &codes) - reference_loss(&below, &codes)) / step
+        };
+        for (index, layer) in gradient.iter().enumerate() {
+            for (weight, slope) in layer.weights.iter().enumerate() {
+                let numeric = quotient(&|model| &mut model.layers[index].weights[weight]);
+                assert_close(
+                    *slope,
+                    numeric,
+                    &format!("weight {weight} of layer {index}"),
+                );
+            }
+            for (unit, slope) in layer.bias.iter().enumerate() {
+                let numeric = quotient(&|model| &mut model.layers[index].bias[unit]);
+                assert_close(*slope, numeric, &format!("bias {unit} of layer {index}"));
+            }
+        }
+    }
+
+    #[test]
+    fn code_gradient_equals_finite_differences() {
+        let model = small_model();
+        let (_, _, gradient) = engine_gradients(&model, Par::Seq);
+        for (index, slope) in gradient.into_iter().enumerate() {
+            let moved = |step: f64| {
+                let mut codes = CODES.map(f64::from);
+                codes[index] += step;
+                reference_loss(&model, &codes)
+            };
+            let numeric = (moved(1e-4) - moved(-1e-4)) / 2e-4;
+            assert_close(slope, numeric, &format!("code {index}"));
+        }
+    }
+
+    #[test]
+    fn accumulated_gradient_is_the_sum() {
+        let model = small_model();
+        let (_, once, _) = engine_gradients(&model, Par::Seq);
+        let rows = Rows {
+            codes: &CODES,
+            tau: &[0.1; 12],
+            code_of_row: &CODE_OF_ROW,
+            moment_of_row: &MOMENT_OF_ROW,
+        };
+        let mut workspace = Workspace::new(&model, 2, 3, 5);
+        model.forward(&rows, Par::Seq, &mut workspace);
+        let (poses, deltas) = workspace.output_and_delta(5);
+        deltas.copy_from_slice(poses);
+        let mut alone = once.clone();
+        let mut sum = once.clone();
+        for (gradient, accumulate) in [(&mut alone, Accum::Replace), (&mut sum, Accum::Add)] {
+            let wanted = Wanted {
+                decoder: Some(gradient),
+                accumulate,
+                codes: None,
+            };
+            let mut workspace = workspace.clone();
+            model.backward(&rows, Par::Seq, &mut workspace, wanted);
+        }
+        for layer in 0..once.len() {
+            for unit in 0..once[layer].bias.len() {
+                let expected = once[layer].bias[unit] + alone[layer].bias[unit];
+                assert!((sum[layer].bias[unit] - expected).abs() < 1e-5);
+            }
+            for weight in 0..once[layer].weights.len() {
+                let expected = once[layer].weights[weight] + alone[layer].weights[weight];
+                assert!((sum[layer].weights[weight] - expected).abs() < 1e-5);
+            }
+        }
+    }
+}

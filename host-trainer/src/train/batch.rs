@@ -131,6 +131,11 @@ impl Batch {
         Workspace::new(model, codes_max, moments_max, rows_max)
     }
 
+    /// Distinct frames of the batch.
+    pub fn moment_count(&self) -> usize {
+        self.moments.len()
+    }
+
     /// What the decoder has to evaluate.
     pub fn rows(&self) -> Rows<'_> {
         Rows {
@@ -254,5 +259,95 @@ impl Batch {
                 }
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::checkpoint::Checkpoint;
+    use crate::train::synthetic::{config, dataset};
+
+    fn drawn(step: u64, overrides: &str) -> (Batch, StepPosition) {
+        let (dataset, config) = (dataset(), config(overrides));
+        let start = Checkpoint::start(&dataset, &config);
+        let mut batch = Batch::new(&dataset, &config, &start.model);
+        let tables = [&start.sequence_codes, &start.action_codes];
+        // An earlier draw must leave no trace.
+        batch.draw(&dataset, &config, tables, step + 5);
+        let position = batch.draw(&dataset, &config, tables, step);
+        (batch, position)
+    }
+
+    #[test]
+    fn pass_holds_every_clip_once_in_batches_of_equal_size() {
+        let batches: Vec<Vec<usize>> = (3..6).map(|step| drawn(step, "").0.clips).collect();
+        let sizes: Vec<usize> = batches.iter().map(Vec::len).collect();
+        assert_eq!(sizes, [1, 2, 2]);
+        let mut clips = batches.concat();
+        clips.sort_unstable();
+        assert_eq!(clips, [0, 1, 2, 3, 4]);
+    }
+
+    #[test]
+    fn frames_of_a_clip_differ_and_lie_inside_it() {
+        let dataset = dataset();
+        for step in 0..200 {
+            let (batch, _) = drawn(step, "");
+            for (index, &clip) in batch.clips.iter().enumerate() {
+                let rows = &batch.target_rows[5 * index..5 * index + 5];
+                let first = dataset.first_rows[clip];
+                let frame_count = dataset.description.clips[clip].frame_count;
+                assert!(
+                    rows.iter()
+                        .all(|row| (first..first + frame_count).contains(row))
+                );
+                let mut distinct = rows.to_vec();
+                distinct.sort_unstable();
+                distinct.dedup();
+                assert_eq!(distinct.len(), frame_count.min(5));
+            }
+        }
+    }
+
+    #[test]
+    fn short_clip_repeats_its_last_pose_while_time_runs_on() {
+        let (batch, _) = (0..3)
+            .map(|step| drawn(step, ""))
+            .find(|(b, _)| b.clips.contains(&1))
+            .unwrap();
+        let index = batch.clips.iter().position(|&clip| clip == 1).unwrap();
+        assert_eq!(
+            batch.target_rows[5 * index..5 * index + 5],
+            [12, 13, 14, 14, 14]
+        );
+        let frame = |row: usize| batch.moments[batch.moment_of_row[row]];
+        let frames: Vec<usize> = (5 * index..5 * index + 5).map(frame).collect();
+        assert_eq!(frames, [0, 1, 2, 3, 4]);
+    }
+
+    #[test]
+    fn every_frame_is_equally_likely() {
+        let mut counts = [0_u32; 12];
+        for step in 0..3000 {
+            let (batch, _) = drawn(step, "[batch]\nclips = 5");
+            let rows = batch.target_rows.iter();
+            rows.filter(|row| **row < 12)
+                .for_each(|row| counts[*row] += 1);
+        }
+        let expected = 3000.0 * 5.0 / 12.0;
+        assert!(
+            counts
+                .iter()
+                .all(|count| (f64::from(*count) / expected - 1.0).abs() < 0.1),
+            "{counts:?}"
+        );
+    }
+
+    #[test]
+    fn code_is_its_mean_without_variation_and_mean_plus_noise_with_it() {
+        let (batch, _) = drawn(0, "[codes]\nsequence_variational = false");
+        assert_eq!(batch.codes[..4], [0.0; 4]);
+        assert!(batch.codes[4..7].iter().all(|code| *code != 0.0));
     }
 }

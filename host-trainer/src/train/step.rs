@@ -26,6 +26,8 @@ pub struct StepReport {
     pub squared_errors: Vec<f64>,
     /// Rows of the batch.
     pub row_count: usize,
+    /// Distinct frames among them.
+    pub moment_count: usize,
 }
 
 /// The checkpoint with the buffers that training it needs.
@@ -113,6 +115,7 @@ impl<'a> Trainer<'a> {
         let row_count = self.batch.target_rows.len();
         let channel_count = self.channel_weights.len();
         self.report.row_count = row_count;
+        self.report.moment_count = self.batch.moment_count();
         self.report.squared_errors.fill(0.0);
         let (poses, deltas) = self.workspace.output_and_delta(row_count);
         let rows = poses
@@ -359,4 +362,138 @@ fn channel_weights(layout: &PoseLayout, reduction: Reduction) -> Vec<f32> {
     let group_weights =
         |group: &crate::layout::Group| vec![weight(group.kind); group.kind.channel_count()];
     layout.groups.iter().flat_map(group_weights).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::train::synthetic::{config, dataset};
+
+    #[test]
+    fn mean_and_log_variance_gradients_equal_f64_finite_differences() {
+        const EPSILON: f64 = -0.8;
+        const BY_CODE: f64 = 0.37;
+        const KL_WEIGHT: f64 = 0.2;
+        let loss = |mean: f64, log_variance: f64| {
+            let variance = log_variance.exp();
+            let divergence = 0.5 * (mean * mean + variance - 1.0 - log_variance);
+            BY_CODE * (mean + variance.sqrt() * EPSILON) + KL_WEIGHT * divergence
+        };
+        let (mean, log_variance) = (0.6_f32, -1.3_f32);
+        let table = CodeTable {
+            dimension_count: 1,
+            mean: vec![mean],
+            log_variance: vec![log_variance],
+        };
+        let deviation = (0.5 * log_variance).exp();
+        let drawn = DrawnCode {
+            gradient: &[BY_CODE as f32],
+            noise: &[deviation * EPSILON as f32],
+            deviation: &[deviation],
+        };
+        let mut gradient = table.zeros_like();
+        let divergence = drawn.add_gradient(&table, 0, KL_WEIGHT as f32, &mut gradient);
+        let (mean, log_variance) = (f64::from(mean), f64::from(log_variance));
+        let by_mean = (loss(mean + 1e-5, log_variance) - loss(mean - 1e-5, log_variance)) / 2e-5;
+        let by_log = (loss(mean, log_variance + 1e-5) - loss(mean, log_variance - 1e-5)) / 2e-5;
+        assert!((f64::from(gradient.mean[0]) - by_mean).abs() < 1e-6);
+        assert!((f64::from(gradient.log_variance[0]) - by_log).abs() < 1e-6);
+        let code_part = BY_CODE * (mean + f64::from(drawn.noise[0]));
+        assert!((divergence - (loss(mean, log_variance) - code_part)).abs() < 1e-6);
+    }
+
+    /// The loss at step 0, with every parameter moved by the caller and the same random numbers every time.
+    fn loss_of(dataset: &Dataset, checkpoint: &Checkpoint) -> f64 {
+        let mut trainer = Trainer::new(checkpoint.clone(), dataset, Par::Seq);
+        trainer.draw();
+        trainer.evaluate();
+        trainer.collect_code_gradients();
+        trainer.report.reconstruction + trainer.report.divergence
+    }
+
+    #[test]
+    fn gradient_of_the_whole_step_equals_finite_differences() {
+        const STEP: f32 = 4e-3;
+        for variant in ["", "[loss]\nreduction = 'kind'\nkl_weight = 0.01"] {
+            let (dataset, config) = (dataset(), config(variant));
+            let mut checkpoint = Checkpoint::start(&dataset, &config);
+            for (index, mean) in checkpoint.sequence_codes.mean.iter_mut().enumerate() {
+                *mean = (index as f32).sin();
+            }
+            let mut trainer = Trainer::new(checkpoint.clone(), &dataset, Par::Seq);
+            let position = trainer.draw();
+            trainer.evaluate();
+            trainer.differentiate(&position);
+            trainer.collect_code_gradients();
+            let check = |analytic: f32, place: &dyn Fn(&mut Checkpoint) -> &mut f32| {
+                let (mut above, mut below) = (checkpoint.clone(), checkpoint.clone());
+                *place(&mut above) += STEP;
+                *place(&mut below) -= STEP;
+                let rise = loss_of(&dataset, &above) - loss_of(&dataset, &below);
+                let numeric = rise / f64::from(2.0 * STEP);
+                let difference = (numeric - f64::from(analytic)).abs();
+                assert!(
+                    difference < 1e-3 * numeric.abs() + 3e-5,
+                    "{variant} {analytic} {numeric}"
+                );
+            };
+            for place in 0..checkpoint.sequence_codes.mean.len() {
+                let gradient = &trainer.sequence_gradient;
+                check(gradient.mean[place], &|c| &mut c.sequence_codes.mean[place]);
+                check(gradient.log_variance[place], &|c| {
+                    &mut c.sequence_codes.log_variance[place]
+                });
+            }
+            for place in 0..checkpoint.action_codes.mean.len() {
+                let gradient = &trainer.action_gradient;
+                check(gradient.mean[place], &|c| &mut c.action_codes.mean[place]);
+                check(gradient.log_variance[place], &|c| {
+                    &mut c.action_codes.log_variance[place]
+                });
+            }
+            let gradient = trainer.checkpoint.optimizer.decoder_gradient.clone();
+            for (layer, gradient) in gradient.iter().enumerate() {
+                check(gradient.bias[1], &|c| &mut c.model.layers[layer].bias[1]);
+                for place in (0..gradient.weights.len()).step_by(7) {
+                    check(gradient.weights[place], &|c| {
+                        &mut c.model.layers[layer].weights[place]
+                    });
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn kinds_weigh_the_same_whatever_their_number_of_channels() {
+        let weights = channel_weights(&dataset().description.layout, Reduction::Kind);
+        assert_eq!(weights, [1.0 / 3.0; 6]);
+        let weights = channel_weights(&dataset().description.layout, Reduction::Channel);
+        assert_eq!(weights, [1.0 / 6.0; 6]);
+    }
+
+    #[test]
+    fn alternating_passes_move_codes_then_weights() {
+        let (dataset, config) = (dataset(), config("[update]\norder = 'alternate'"));
+        let mut trainer = Trainer::new(Checkpoint::start(&dataset, &config), &dataset, Par::Seq);
+        let start = trainer.checkpoint.clone();
+        (0..3).for_each(|_| trainer.step(1.0));
+        assert_eq!(trainer.checkpoint.model, start.model);
+        assert_ne!(trainer.checkpoint.sequence_codes, start.sequence_codes);
+        let codes = trainer.checkpoint.sequence_codes.clone();
+        (0..3).for_each(|_| trainer.step(1.0));
+        assert_ne!(trainer.checkpoint.model, start.model);
+        assert_eq!(trainer.checkpoint.sequence_codes, codes);
+    }
+
+    #[test]
+    fn summed_gradient_moves_weights_once_a_pass() {
+        let (dataset, config) = (dataset(), config("[update]\ndecoder_step = 'epoch'"));
+        let mut trainer = Trainer::new(Checkpoint::start(&dataset, &config), &dataset, Par::Seq);
+        let start = trainer.checkpoint.model.clone();
+        (0..2).for_each(|_| trainer.step(1.0));
+        assert_eq!(trainer.checkpoint.model, start);
+        trainer.step(1.0);
+        assert_ne!(trainer.checkpoint.model, start);
+        assert_eq!(trainer.checkpoint.optimizer.decoder.step_count, 1);
+    }
 }
