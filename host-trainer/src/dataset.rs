@@ -306,3 +306,167 @@ impl Dataset {
         &self.poses[start * channel_count..end * channel_count]
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::layout::{Group, Unit};
+    use proptest::prelude::*;
+
+    fn layout(kinds: &[GroupKind]) -> PoseLayout {
+        let groups = kinds
+            .iter()
+            .enumerate()
+            .map(|(index, kind)| Group {
+                name: format!("g{index}"),
+                kind: *kind,
+                unit: Unit::One,
+            })
+            .collect();
+        PoseLayout { groups }
+    }
+
+    fn clip_set(kinds: &[GroupKind], clips: &[(&str, &str, Vec<f32>)]) -> ClipSet {
+        let clips = clips
+            .iter()
+            .map(|(name, action, poses)| Clip {
+                name: (*name).to_owned(),
+                action: (*action).to_owned(),
+                source: format!("{name}.csv").into(),
+                poses: poses.clone(),
+            })
+            .collect();
+        ClipSet {
+            layout: layout(kinds),
+            rate_hz: 50.0,
+            skeleton: None,
+            clips,
+            remarks: Vec::new(),
+        }
+    }
+
+    const TWO_SCALARS: [GroupKind; 2] = [GroupKind::Scalar, GroupKind::Scalar];
+
+    fn refusal(clip_set: &ClipSet) -> String {
+        build(clip_set, &DatasetOptions::default())
+            .unwrap_err()
+            .to_string()
+    }
+
+    #[test]
+    fn empty_set_is_refused() {
+        assert!(refusal(&clip_set(&TWO_SCALARS, &[])).contains("number of clips is 0"));
+    }
+
+    #[test]
+    fn clip_of_one_frame_is_refused_by_name() {
+        let error = refusal(&clip_set(&TWO_SCALARS, &[("nod3", "nod", vec![0.0; 2])]));
+        assert!(
+            error.contains("nod3.csv") && error.contains("1 frames"),
+            "{error}"
+        );
+    }
+
+    #[test]
+    fn clip_without_a_label_is_refused_with_the_remedy() {
+        let error = refusal(&clip_set(&TWO_SCALARS, &[("nod3", "", vec![0.0; 4])]));
+        assert!(
+            error.contains("nod3.csv") && error.contains("--labels"),
+            "{error}"
+        );
+    }
+
+    #[test]
+    fn value_that_is_not_finite_is_refused_by_frame_and_channel() {
+        let poses = vec![0.0, 1.0, 2.0, f32::NAN];
+        let error = refusal(&clip_set(&TWO_SCALARS, &[("nod3", "nod", poses)]));
+        assert!(error.contains("frame 1, channel g1_one is NaN"), "{error}");
+    }
+
+    #[test]
+    fn actions_are_sorted_and_clips_keep_their_rows() {
+        let clips = [
+            ("a", "wave", vec![0.0, 1.0, 2.0, 3.0]),
+            ("b", "nod", vec![4.0, 5.0, 6.0, 7.0, 8.0, 9.0]),
+            ("c", "wave", vec![0.0; 4]),
+        ];
+        let dataset = build(&clip_set(&TWO_SCALARS, &clips), &DatasetOptions::default()).unwrap();
+        assert_eq!(dataset.description.actions, ["nod", "wave"]);
+        let actions: Vec<usize> = dataset.description.clips.iter().map(|c| c.action).collect();
+        assert_eq!(actions, [1, 0, 1]);
+        assert_eq!(dataset.first_rows, [0, 2, 5]);
+        let mut poses = dataset.clip_poses(1).to_vec();
+        dataset.description.destandardize(&mut poses);
+        assert_eq!(poses, [4.0, 5.0, 6.0, 7.0, 8.0, 9.0]);
+    }
+
+    #[test]
+    fn positions_share_a_scale_and_scalars_do_not() {
+        let kinds = [
+            GroupKind::Position,
+            GroupKind::Position,
+            GroupKind::Scalar,
+            GroupKind::Scalar,
+        ];
+        let poses = vec![
+            1.0, 2.0, 3.0, 40.0, 50.0, 60.0, 7.0, 8.0, //
+            3.0, 2.0, 9.0, 10.0, 11.0, 12.0, 9.0, 80.0,
+        ];
+        let dataset = build(
+            &clip_set(&kinds, &[("a", "x", poses)]),
+            &DatasetOptions::default(),
+        )
+        .unwrap();
+        let scale = &dataset.description.scale;
+        assert_eq!([scale[0], scale[2], scale[3]], [scale[5]; 3]);
+        assert_eq!(scale[6], 1.0);
+        assert_eq!(scale[7], 36.0);
+    }
+
+    #[test]
+    fn constant_channel_comes_back_exactly_whatever_the_decoder_says() {
+        let poses = vec![0.3, 1.0, 0.3, 2.0, 0.3, 5.0];
+        let dataset = build(
+            &clip_set(&TWO_SCALARS, &[("a", "x", poses)]),
+            &DatasetOptions::default(),
+        )
+        .unwrap();
+        assert!(dataset.description.is_constant(0) && !dataset.description.is_constant(1));
+        assert_eq!(dataset.poses[0], 0.0);
+        let mut decoded = vec![5.0, 0.0];
+        dataset.description.destandardize(&mut decoded);
+        assert_eq!(decoded[0], 0.3);
+    }
+
+    #[test]
+    fn without_standardization_the_poses_are_the_values() {
+        let poses = vec![0.3, 1.0, 0.3, 2.0];
+        let options = DatasetOptions {
+            standardization: Standardization::None,
+        };
+        let dataset = build(
+            &clip_set(&TWO_SCALARS, &[("a", "x", poses.clone())]),
+            &options,
+        )
+        .unwrap();
+        assert_eq!(dataset.poses, poses);
+    }
+
+    proptest! {
+        #[test]
+        fn destandardize_undoes_standardize(
+            poses in prop::collection::vec(-1000.0..1000.0f32, 11 * 5)
+        ) {
+            let kinds = [GroupKind::Translation, GroupKind::Rotation6d, GroupKind::Scalar, GroupKind::Scalar];
+            let set = clip_set(&kinds, &[("a", "x", poses.clone())]);
+            let dataset = build(&set, &DatasetOptions::default()).unwrap();
+            let mean: f32 = dataset.poses.iter().step_by(11).sum();
+            prop_assert!(mean.abs() < 1e-4);
+            let mut again = dataset.poses.clone();
+            dataset.description.destandardize(&mut again);
+            for (again, original) in again.iter().zip(&poses) {
+                prop_assert!((again - original).abs() < 1e-3);
+            }
+        }
+    }
+}

@@ -1,18 +1,24 @@
 //! Station 1b: clips as imported → clips as trained.
 //!
 //! In:  [`ClipSet`] of an importer; human joints come as absolute positions, one `Position` group a joint.
-//! Out: [`ClipSet`] in its training representation to `dataset`; joint positions to pictures and metrics.
+//! Out: [`ClipSet`] in its training representation to `dataset`.
 //!
-//! Why here: the decoder learns what it is given. Positions are simplest and exact; rotations can be sent to motors and
-//! keep bones rigid.
+//! Why here: the decoder learns what it is given. Positions are simplest and exact; rotations can be sent to motors
+//! and keep bones rigid.
 
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+use crate::body::Body;
 use crate::clip::{Clip, ClipSet};
 use crate::error::{Error, Result};
+use crate::infer_skeleton::infer_skeleton;
+use crate::kinematics::{InverseKinematics, joint_distances, measure_offsets};
 use crate::layout::{Group, GroupKind, PoseLayout, Unit};
-use crate::rotation::{Vector, add, subtract};
+use crate::rotation::{Vector, add, length, scale, subtract};
 use crate::skeleton::Skeleton;
+
+pub use crate::body::to_joint_positions;
 
 /// How joints are given to the decoder.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -30,104 +36,123 @@ pub enum Representation {
 /// Name of the root's translation group.
 pub const ROOT_NAME: &str = "root";
 
+/// A bone counts as constant while its length varies by less than this part of its mean.
+const LENGTH_VARIATION_MAX: f64 = 1e-3;
+
 /// Brings a clip set into its training representation.
 ///
-/// `skeleton` replaces the set's own; its joint names become the group names.
+/// `skeleton` replaces the set's own; its joint names become the group names. `Rotations` without any skeleton infers
+/// the tree from the distances that stay constant, and says so in the remarks.
 ///
 /// # Errors
-/// - `Positions` or `Rotations` of clips that hold anything but joint positions.
-/// - A skeleton with another number of joints than the clips.
+/// - `Positions` or `Rotations` of clips that are not a body.
+/// - A skeleton that is not a tree, or has another number of joints than the clips.
 pub fn represent(
-    mut clip_set: ClipSet,
+    clip_set: ClipSet,
     representation: Representation,
     skeleton: Option<Skeleton>,
 ) -> Result<ClipSet> {
-    if skeleton.is_some() {
-        clip_set.skeleton = skeleton;
+    represent_with_bones(clip_set, representation, skeleton).map(|(clip_set, _)| clip_set)
+}
+
+/// As [`represent`]; also every clip's own bones, which forward kinematics needs to give the clip's positions back.
+/// // (clip, joint); no clips unless rotations were found by inverse kinematics
+pub fn represent_with_bones(
+    mut clip_set: ClipSet,
+    representation: Representation,
+    skeleton: Option<Skeleton>,
+) -> Result<(ClipSet, Vec<Vec<Vector>>)> {
+    if let Some(skeleton) = skeleton {
+        skeleton.check(source_of(&clip_set))?;
+        clip_set.skeleton = Some(skeleton);
     }
     if representation == Representation::AsIs {
-        return Ok(clip_set);
+        return Ok((clip_set, Vec::new()));
     }
-    check_joint_positions(&clip_set)?;
+    let body = check_body(&clip_set)?;
+    let joints = clip_set
+        .clips
+        .par_iter()
+        .map(|clip| since_first_root(&body, &clip_set.layout, clip))
+        .collect();
     match representation {
-        Representation::Positions => Ok(positions(clip_set)),
-        _ => Err(Error::bad_input(
-            "representation",
-            "rotations",
-            "not built yet",
-            "positions",
-            "wait for the next commit",
-        )),
+        Representation::Rotations => rotations(clip_set, joints),
+        _ => Ok((positions(clip_set, joints), Vec::new())),
     }
 }
 
 fn source_of(clip_set: &ClipSet) -> &std::path::Path {
-    clip_set
-        .clips
-        .first()
-        .map_or(std::path::Path::new("clips"), |clip| clip.source.as_path())
+    let first = clip_set.clips.first();
+    first.map_or(std::path::Path::new("clips"), |clip| clip.source.as_path())
 }
 
-fn check_joint_positions(clip_set: &ClipSet) -> Result<()> {
-    let groups = &clip_set.layout.groups;
-    if let Some(group) = groups
-        .iter()
-        .find(|group| group.kind != GroupKind::Position)
-    {
-        return Err(Error::bad_input(
+fn check_body(clip_set: &ClipSet) -> Result<Body> {
+    let body = Body::new(&clip_set.layout, clip_set.skeleton.as_ref()).ok_or_else(|| {
+        let kinds: Vec<&str> = clip_set
+            .layout
+            .groups
+            .iter()
+            .map(|g| g.kind.name())
+            .collect();
+        Error::bad_input(
             source_of(clip_set),
-            format!("channel group {}", group.name),
-            group.kind.name(),
-            "joint positions in every group",
-            "use the representation as-is",
-        ));
-    }
+            "channel groups",
+            kinds.join(" "),
+            "joint positions, or a root translation and the rotations of a skeleton's joints",
+            "use the representation as-is, or name the skeleton",
+        )
+    })?;
     match &clip_set.skeleton {
-        Some(skeleton) if skeleton.names.len() != groups.len() => Err(Error::bad_input(
+        Some(skeleton) if skeleton.joint_count() != body.joint_count() => Err(Error::bad_input(
             source_of(clip_set),
             "joints",
-            groups.len(),
-            format!("{}, as in the skeleton", skeleton.names.len()),
+            body.joint_count(),
+            format!("{}, as in the skeleton", skeleton.joint_count()),
             "name the skeleton of these clips",
         )),
-        _ => Ok(()),
+        _ => Ok(body),
     }
 }
 
-/// Absolute positions → root since frame 0, other joints relative to the root.
-fn positions(mut clip_set: ClipSet) -> ClipSet {
-    let unit = clip_set
-        .layout
-        .groups
-        .first()
-        .map_or(Unit::Metre, |group| group.unit);
-    let names = joint_names(&clip_set);
-    clip_set.layout = PoseLayout {
-        groups: std::iter::once(root_group(unit))
-            .chain(names.into_iter().skip(1).map(|name| Group {
-                name,
-                kind: GroupKind::Position,
-                unit,
-            }))
-            .collect(),
+/// Joint positions of a clip, minus the root of its first frame. // (frame, joint)
+fn since_first_root(body: &Body, layout: &PoseLayout, clip: &Clip) -> Vec<Vec<Vector>> {
+    let poses = clip.poses.chunks_exact(layout.channel_count());
+    let mut frames: Vec<Vec<Vector>> = poses.map(|pose| body.joint_positions(pose)).collect();
+    let origin = frames.first().map_or([0.0; 3], |first| first[0]);
+    for position in frames.iter_mut().flatten() {
+        *position = subtract(*position, origin);
+    }
+    frames
+}
+
+/// Layout of the root's translation and one group of `kind` for each of `names`.
+fn body_layout(
+    clip_set: &ClipSet,
+    kind: GroupKind,
+    names: impl IntoIterator<Item = String>,
+) -> PoseLayout {
+    let of_position = |group: &&Group| group.kind != GroupKind::Rotation6d;
+    let length = clip_set.layout.groups.iter().find(of_position);
+    let length = length.map_or(Unit::Metre, |group| group.unit);
+    let unit = if kind == GroupKind::Rotation6d {
+        Unit::One
+    } else {
+        length
     };
-    let joint_count = clip_set.layout.groups.len();
-    for clip in &mut clip_set.clips {
-        relative_to_root(clip, joint_count);
-    }
-    clip_set
-}
-
-fn root_group(unit: Unit) -> Group {
-    Group {
+    let root = Group {
         name: ROOT_NAME.to_owned(),
         kind: GroupKind::Translation,
-        unit,
+        unit: length,
+    };
+    let others = names.into_iter().map(|name| Group { name, kind, unit });
+    PoseLayout {
+        groups: std::iter::once(root).chain(others).collect(),
     }
 }
 
+/// The skeleton's names, else the groups'; "root" is the translation's and never a joint's.
 fn joint_names(clip_set: &ClipSet) -> Vec<String> {
-    match &clip_set.skeleton {
+    let mut names: Vec<String> = match &clip_set.skeleton {
         Some(skeleton) => skeleton.names.clone(),
         None => clip_set
             .layout
@@ -135,57 +160,360 @@ fn joint_names(clip_set: &ClipSet) -> Vec<String> {
             .iter()
             .map(|group| group.name.clone())
             .collect(),
+    };
+    if let Some(name) = names.iter_mut().find(|name| *name == ROOT_NAME) {
+        name.push_str("_joint");
     }
+    names
 }
 
-fn relative_to_root(clip: &mut Clip, joint_count: usize) {
-    let Some(start) = clip.poses.first_chunk::<3>().map(|xyz| xyz.map(f64::from)) else {
-        return;
+fn positions(mut clip_set: ClipSet, joints: Vec<Vec<Vec<Vector>>>) -> ClipSet {
+    let names = joint_names(&clip_set).into_iter().skip(1);
+    clip_set.layout = body_layout(&clip_set, GroupKind::Position, names);
+    for (clip, frames) in clip_set.clips.iter_mut().zip(joints) {
+        let relative = frames.iter().flat_map(|positions| {
+            let others = positions[1..]
+                .iter()
+                .map(|position| subtract(*position, positions[0]));
+            std::iter::once(positions[0]).chain(others)
+        });
+        clip.poses = relative.flatten().map(|element| element as f32).collect();
+    }
+    clip_set
+}
+
+fn rotations(
+    mut clip_set: ClipSet,
+    joints: Vec<Vec<Vec<Vector>>>,
+) -> Result<(ClipSet, Vec<Vec<Vector>>)> {
+    let mut skeleton = match clip_set.skeleton.take() {
+        Some(skeleton) => skeleton,
+        None => {
+            let names = joint_names(&clip_set);
+            let skeleton = infer_skeleton(source_of(&clip_set), names, &joints)?;
+            clip_set
+                .remarks
+                .push(format!("skeleton inferred: {}", tree_text(&skeleton)));
+            skeleton
+        }
     };
-    for pose in clip.poses.chunks_exact_mut(3 * joint_count) {
-        let root = vector(pose);
-        for (joint, xyz) in pose.chunks_exact_mut(3).enumerate() {
-            let origin = if joint == 0 { start } else { root };
-            let relative = subtract(vector(xyz), origin).map(|element| element as f32);
-            xyz.copy_from_slice(&relative);
+    let rest = rest_offsets(&skeleton, &joints);
+    let solved: Vec<(Vec<Vector>, Vec<f32>)> = joints
+        .par_iter()
+        .map(|frames| solve_clip(&skeleton, &rest, frames))
+        .collect();
+    let (bones, poses): (Vec<Vec<Vector>>, Vec<Vec<f32>>) = solved.into_iter().unzip();
+    skeleton.offsets = mean_offsets(&bones);
+    clip_set.skeleton = Some(skeleton.clone());
+    clip_set.layout = body_layout(&clip_set, GroupKind::Rotation6d, joint_names(&clip_set));
+    for (clip, poses) in clip_set.clips.iter_mut().zip(poses) {
+        clip.poses = poses;
+    }
+    let remark = rotation_remark(&clip_set, &skeleton, &bones, &joints);
+    clip_set.remarks.extend(remark);
+    Ok((clip_set, bones))
+}
+
+fn tree_text(skeleton: &Skeleton) -> String {
+    let bones = skeleton.bones();
+    let names = &skeleton.names;
+    bones
+        .map(|(parent, child)| format!("{}-{}", names[parent], names[child]))
+        .collect::<Vec<_>>()
+        .join(" ")
+}
+
+/// The skeleton's rest directions; where it has none, those of the first pose of the first clip. // (joint)
+fn rest_offsets(skeleton: &Skeleton, joints: &[Vec<Vec<Vector>>]) -> Vec<Vector> {
+    let mut rest: Vec<Vector> = skeleton
+        .offsets
+        .iter()
+        .map(|offset| offset.map(f64::from))
+        .collect();
+    if let Some(pose) = joints.iter().flatten().next() {
+        for (parent, child) in skeleton.bones() {
+            if length(rest[child]) == 0.0 {
+                rest[child] = subtract(pose[child], pose[parent]);
+            }
         }
     }
+    rest
 }
 
-/// First three channels as a vector.
-fn vector(channels: &[f32]) -> Vector {
-    std::array::from_fn(|axis| f64::from(channels[axis]))
+/// Own bones of one clip, and its poses as root and rotations. // (joint), (frame, channel)
+fn solve_clip(
+    skeleton: &Skeleton,
+    rest: &[Vector],
+    frames: &[Vec<Vector>],
+) -> (Vec<Vector>, Vec<f32>) {
+    let bones = measure_offsets(skeleton, rest, frames);
+    let mut inverse = InverseKinematics::new(skeleton, &bones);
+    let mut poses = Vec::with_capacity(frames.len() * (3 + 6 * skeleton.joint_count()));
+    for positions in frames {
+        poses.extend(positions[0].map(|element| element as f32));
+        for local in inverse.solve(positions) {
+            poses.extend(local.to_6d().map(|element| element as f32));
+        }
+    }
+    (bones, poses)
 }
 
-/// Joint positions of one pose in the layout's own unit, for pictures and metrics. // (joint)
-///
-/// Understands absolute positions, [`Representation::Positions`] and [`Representation::Rotations`].
-/// `None` where the layout is not a body: servos, a lone head, or rotations without a skeleton.
-pub fn to_joint_positions(
-    layout: &PoseLayout,
-    pose: &[f32],
-    skeleton: Option<&Skeleton>,
-) -> Option<Vec<Vector>> {
-    let kind_count = |kind| {
-        layout
-            .groups
-            .iter()
-            .filter(|group| group.kind == kind)
-            .count()
+fn mean_offsets(bones: &[Vec<Vector>]) -> Vec<[f32; 3]> {
+    let joint_count = bones.first().map_or(0, Vec::len);
+    (0..joint_count)
+        .map(|joint| {
+            let sum = bones
+                .iter()
+                .fold([0.0; 3], |sum, clip| add(sum, clip[joint]));
+            scale(sum, 1.0 / bones.len() as f64).map(|element| element as f32)
+        })
+        .collect()
+}
+
+/// Distances between joints and their reproductions.
+#[derive(Clone, Copy, Default)]
+struct Distance {
+    total: f64,
+    count: usize,
+    max: f64,
+}
+
+impl Distance {
+    fn of(distances: impl Iterator<Item = f64>) -> Self {
+        distances.fold(Self::default(), |sum, distance| {
+            sum.with(distance, distance, 1)
+        })
+    }
+
+    fn with(self, total: f64, max: f64, count: usize) -> Self {
+        Self {
+            total: self.total + total,
+            count: self.count + count,
+            max: self.max.max(max),
+        }
+    }
+
+    fn mean(&self) -> f64 {
+        self.total / self.count.max(1) as f64
+    }
+}
+
+/// What forward kinematics gives back of the original positions, on each clip's own bones and on the mean ones.
+fn rotation_remark(
+    clip_set: &ClipSet,
+    skeleton: &Skeleton,
+    bones: &[Vec<Vector>],
+    joints: &[Vec<Vec<Vector>>],
+) -> Option<String> {
+    let layout = &clip_set.layout;
+    let body = Body::new(layout, Some(skeleton))?;
+    let mean_bones: Vec<Vector> = skeleton.offsets.iter().map(|o| o.map(f64::from)).collect();
+    let distance_on = |own: Option<&[Vec<Vector>]>| -> Distance {
+        let of_clip = |index: usize| {
+            let offsets = own.map_or(&mean_bones, |own| &own[index]);
+            let poses = clip_set.clips[index]
+                .poses
+                .chunks_exact(layout.channel_count());
+            Distance::of(poses.zip(&joints[index]).flat_map(|(pose, original)| {
+                let found = body.joint_positions_on(offsets, pose).unwrap_or_default();
+                joint_distances(&found, original).collect::<Vec<f64>>()
+            }))
+        };
+        (0..joints.len())
+            .into_par_iter()
+            .map(of_clip)
+            .reduce(Distance::default, |a, b| a.with(b.total, b.max, b.count))
     };
-    let group_count = layout.groups.len();
-    if kind_count(GroupKind::Position) == group_count && group_count > 0 {
-        return Some(pose.chunks_exact(3).map(vector).collect());
+    let constant = joints
+        .iter()
+        .filter(|frames| has_constant_bones(skeleton, frames))
+        .count();
+    let (own, mean) = (distance_on(Some(bones)), distance_on(None));
+    let unit = layout.groups.first()?.unit.suffix();
+    Some(format!(
+        "rotations by inverse kinematics: {constant} of {} clips have constant bone lengths; joints come back within \
+         {:.2e} {unit} mean, {:.2e} {unit} max on each clip's own bones, {:.2e} {unit} mean on the mean skeleton",
+        joints.len(),
+        own.mean(),
+        own.max,
+        mean.mean(),
+    ))
+}
+
+fn has_constant_bones(skeleton: &Skeleton, frames: &[Vec<Vector>]) -> bool {
+    skeleton.bones().all(|(parent, child)| {
+        let lengths = frames.iter().map(|p| length(subtract(p[child], p[parent])));
+        let range = lengths.fold((f64::INFINITY, 0.0_f64), |(min, max), length| {
+            (min.min(length), max.max(length))
+        });
+        range.1 - range.0 <= LENGTH_VARIATION_MAX * range.1
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::path::{Path, PathBuf};
+
+    fn absolute_layout(joint_count: usize) -> PoseLayout {
+        let groups = (0..joint_count)
+            .map(|joint| Group {
+                name: format!("joint{joint}"),
+                kind: GroupKind::Position,
+                unit: Unit::Metre,
+            })
+            .collect();
+        PoseLayout { groups }
     }
-    let starts_at_root = layout.groups.first()?.kind == GroupKind::Translation;
-    if starts_at_root && kind_count(GroupKind::Position) == group_count - 1 && group_count > 1 {
-        let root = vector(pose);
-        let others = pose
-            .chunks_exact(3)
-            .skip(1)
-            .map(|xyz| add(root, vector(xyz)));
-        return Some(std::iter::once(root).chain(others).collect());
+
+    fn clip_set(joint_count: usize, clips: Vec<Clip>) -> ClipSet {
+        ClipSet {
+            layout: absolute_layout(joint_count),
+            rate_hz: 20.0,
+            skeleton: None,
+            clips,
+            remarks: Vec::new(),
+        }
     }
-    let _ = skeleton;
-    None
+
+    fn clip(name: &str, poses: Vec<f32>) -> Clip {
+        Clip {
+            name: name.to_owned(),
+            action: "a".to_owned(),
+            source: PathBuf::from(name),
+            poses,
+        }
+    }
+
+    /// A path below `shared/`, or `None` with a loud word when this machine has no such data.
+    fn shared(path: &str) -> Option<PathBuf> {
+        let roots = ["/../../shared", "/../../../shared"];
+        let roots =
+            roots.map(|up| PathBuf::from(format!("{}{up}/{path}", env!("CARGO_MANIFEST_DIR"))));
+        let found = roots.into_iter().find(|path| path.exists());
+        if found.is_none() {
+            assert!(std::env::var_os("CI").is_none(), "CI needs shared/{path}");
+            eprintln!("SKIPPED: shared/{path} is not on this machine");
+        }
+        found
+    }
+
+    fn read_npy(path: &Path) -> Vec<f32> {
+        let bytes = std::fs::read(path).unwrap();
+        npyz::NpyFile::new(&bytes[..]).unwrap().into_vec().unwrap()
+    }
+
+    /// Every `step`-th clip of a folder of `.npy` files.
+    fn npy_clips(folder: &Path, joint_count: usize, step: usize) -> ClipSet {
+        let mut files: Vec<PathBuf> = std::fs::read_dir(folder)
+            .unwrap()
+            .map(|entry| entry.unwrap().path())
+            .collect();
+        files.sort();
+        let clips = files
+            .iter()
+            .step_by(step)
+            .map(|file| clip(&file.file_stem().unwrap().to_string_lossy(), read_npy(file)))
+            .collect();
+        clip_set(joint_count, clips)
+    }
+
+    #[test]
+    fn servo_channels_are_refused_as_positions() {
+        let mut set = clip_set(2, vec![clip("c", vec![0.0; 12])]);
+        set.layout.groups[1].kind = GroupKind::Scalar;
+        let error = represent(set, Representation::Positions, None)
+            .unwrap_err()
+            .to_string();
+        assert!(error.contains("as-is"), "{error}");
+    }
+
+    #[test]
+    fn skeleton_of_another_size_is_refused() {
+        let set = clip_set(2, vec![clip("c", vec![0.0; 12])]);
+        let skeleton = Some(Skeleton::smpl24());
+        let error = represent(set, Representation::Rotations, skeleton)
+            .unwrap_err()
+            .to_string();
+        assert!(error.contains("joints is 2, expected 24"), "{error}");
+    }
+
+    #[test]
+    fn as_is_changes_no_channel() {
+        let set = clip_set(2, vec![clip("c", (0..12).map(|x| x as f32).collect())]);
+        assert_eq!(
+            represent(set.clone(), Representation::AsIs, None).unwrap(),
+            set
+        );
+    }
+
+    #[test]
+    fn positions_are_relative_and_come_back() {
+        let original: Vec<f32> = (0..18).map(|x| (x * x) as f32).collect();
+        let set = clip_set(3, vec![clip("c", original.clone())]);
+        let set = represent(set, Representation::Positions, None).unwrap();
+        assert_eq!(set.layout.channel_count(), 9);
+        assert_eq!(set.layout.groups[0].kind, GroupKind::Translation);
+        for (pose, original) in set.clips[0]
+            .poses
+            .chunks_exact(9)
+            .zip(original.chunks_exact(9))
+        {
+            let found = to_joint_positions(&set.layout, pose, None).unwrap();
+            for (found, expected) in found.iter().flatten().zip(original) {
+                // The first frame's root was (0, 1, 4): only that is taken away for good.
+                let axis = found;
+                assert!(axis.is_finite() && expected.is_finite());
+            }
+        }
+        let first = to_joint_positions(&set.layout, &set.clips[0].poses[..9], None).unwrap();
+        assert_eq!(first, [[0.0; 3], [9.0, 15.0, 21.0], [36.0, 48.0, 60.0]]);
+        let second = to_joint_positions(&set.layout, &set.clips[0].poses[9..], None).unwrap();
+        assert_eq!(second[0], [81.0, 99.0, 117.0]);
+        assert_eq!(second[2], [225.0, 255.0, 285.0]);
+    }
+
+    #[test]
+    fn rotations_reproduce_humanact12_within_a_tenth_of_a_millimetre() {
+        let Some(folder) = shared("data/humanact12/clips") else {
+            return;
+        };
+        let set = npy_clips(&folder, 24, 30);
+        assert_eq!(set.clips.len(), 40);
+        let absolute = set.clone();
+        let (set, bones) =
+            represent_with_bones(set, Representation::Rotations, Some(Skeleton::smpl24())).unwrap();
+        assert_eq!(set.layout.channel_count(), 147);
+        let body = Body::new(&set.layout, set.skeleton.as_ref()).unwrap();
+        for ((original, clip), bones) in absolute.clips.iter().zip(&set.clips).zip(&bones) {
+            let start = original.poses.first_chunk::<3>().unwrap().map(f64::from);
+            let poses = clip.poses.chunks_exact(147);
+            let distances: Vec<f64> = poses
+                .zip(original.poses.chunks_exact(72))
+                .flat_map(|(pose, xyz)| {
+                    let found = body.joint_positions_on(bones, pose).unwrap();
+                    let original: Vec<Vector> = xyz
+                        .chunks_exact(3)
+                        .map(|p| subtract([p[0], p[1], p[2]].map(f64::from), start))
+                        .collect();
+                    joint_distances(&found, &original).collect::<Vec<_>>()
+                })
+                .collect();
+            let mean_m = distances.iter().sum::<f64>() / distances.len() as f64;
+            assert!(mean_m < 1e-4, "{}: {mean_m} m", clip.name);
+        }
+        eprintln!("{}", set.remarks.join("\n"));
+        assert!(set.remarks[0].contains("40 of 40 clips have constant bone lengths"));
+    }
+
+    #[test]
+    fn inferred_tree_of_cmu_clips_is_the_published_one() {
+        let Some(folder) = shared("data/cmu_mocap/clips") else {
+            return;
+        };
+        let set = npy_clips(&folder, 20, 25);
+        let set = represent(set, Representation::Rotations, None).unwrap();
+        eprintln!("{}", set.remarks.join("\n"));
+        assert_eq!(set.skeleton.unwrap().parents, Skeleton::cmu20().parents);
+    }
 }

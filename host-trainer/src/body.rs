@@ -1,0 +1,163 @@
+//! Pose channels → joint positions, whatever the representation.
+//!
+//! In:  a [`PoseLayout`], poses, and for rotations a [`Skeleton`].
+//! Out: one point a joint to `represent`, pictures and metrics.
+
+use crate::kinematics;
+use crate::layout::{GroupKind, PoseLayout};
+use crate::rotation::{Rotation, Vector, add};
+use crate::skeleton::Skeleton;
+
+/// Reads joint positions out of poses of one layout.
+#[derive(Clone, Debug)]
+pub struct Body {
+    channels: BodyChannels,
+    joint_count: usize,
+}
+
+/// Where the joints stand among the channels.
+#[derive(Clone, Debug)]
+enum BodyChannels {
+    /// Absolute positions, joint after joint.
+    Absolute,
+    /// Root translation, then the other joints relative to it.
+    Relative,
+    /// Rotations over a tree; first channel of the root, and of every joint that has a rotation. // (joint)
+    Rotations {
+        skeleton: Skeleton,
+        root: usize,
+        rotations: Vec<Option<usize>>,
+    },
+}
+
+impl Body {
+    /// `None` where the layout is not a body: servos, a lone head, or rotations without their skeleton.
+    pub fn new(layout: &PoseLayout, skeleton: Option<&Skeleton>) -> Option<Self> {
+        let kinds: Vec<GroupKind> = layout.groups.iter().map(|group| group.kind).collect();
+        let all_positions =
+            |kinds: &[GroupKind]| kinds.iter().all(|kind| *kind == GroupKind::Position);
+        let (first, others) = kinds.split_first()?;
+        let channels = match first {
+            GroupKind::Position if all_positions(others) => BodyChannels::Absolute,
+            GroupKind::Translation if !others.is_empty() && all_positions(others) => {
+                BodyChannels::Relative
+            }
+            _ => rotation_channels(layout, skeleton?)?,
+        };
+        let joint_count = match &channels {
+            BodyChannels::Rotations { skeleton, .. } => skeleton.joint_count(),
+            _ => kinds.len(),
+        };
+        Some(Self {
+            channels,
+            joint_count,
+        })
+    }
+
+    /// Number of joints.
+    pub fn joint_count(&self) -> usize {
+        self.joint_count
+    }
+
+    /// Joint positions of one pose, in the unit of the layout's root. // (channel) → (joint)
+    pub fn joint_positions(&self, pose: &[f32]) -> Vec<Vector> {
+        match &self.channels {
+            BodyChannels::Absolute => pose.chunks_exact(3).map(vector).collect(),
+            BodyChannels::Relative => {
+                let root = vector(pose);
+                let others = pose
+                    .chunks_exact(3)
+                    .skip(1)
+                    .map(|xyz| add(root, vector(xyz)));
+                std::iter::once(root).chain(others).collect()
+            }
+            BodyChannels::Rotations {
+                skeleton,
+                root,
+                rotations,
+            } => {
+                let offsets: Vec<Vector> = skeleton
+                    .offsets
+                    .iter()
+                    .map(|offset| vector(offset))
+                    .collect();
+                let locals = locals(rotations, pose);
+                kinematics::forward(skeleton, &offsets, vector(&pose[*root..]), &locals)
+            }
+        }
+    }
+
+    /// Joint positions of one pose on other bones than the skeleton's; rotations only. // offsets: (joint)
+    ///
+    /// `None` for a body that is given by positions: it has no bones to exchange.
+    pub fn joint_positions_on(&self, offsets: &[Vector], pose: &[f32]) -> Option<Vec<Vector>> {
+        let BodyChannels::Rotations {
+            skeleton,
+            root,
+            rotations,
+        } = &self.channels
+        else {
+            return None;
+        };
+        let locals = locals(rotations, pose);
+        Some(kinematics::forward(
+            skeleton,
+            offsets,
+            vector(&pose[*root..]),
+            &locals,
+        ))
+    }
+}
+
+/// Rotation groups belong to the joints of their names; where the names differ, to the joints in order.
+fn rotation_channels(layout: &PoseLayout, skeleton: &Skeleton) -> Option<BodyChannels> {
+    let of_kind = |kind| layout.ranges().filter(move |(group, _)| group.kind == kind);
+    let (_, root) = of_kind(GroupKind::Translation).next()?;
+    let starts: Vec<(&str, usize)> = of_kind(GroupKind::Rotation6d)
+        .map(|(group, range)| (group.name.as_str(), range.start))
+        .collect();
+    let by_name: Vec<Option<usize>> = skeleton
+        .names
+        .iter()
+        .map(|joint| {
+            starts
+                .iter()
+                .find(|(name, _)| name == joint)
+                .map(|(_, start)| *start)
+        })
+        .collect();
+    let rotations = if by_name.iter().flatten().count() == starts.len() && !starts.is_empty() {
+        by_name
+    } else if starts.len() == skeleton.joint_count() {
+        starts.iter().map(|(_, start)| Some(*start)).collect()
+    } else {
+        return None;
+    };
+    Some(BodyChannels::Rotations {
+        skeleton: skeleton.clone(),
+        root: root.start,
+        rotations,
+    })
+}
+
+fn locals(rotations: &[Option<usize>], pose: &[f32]) -> Vec<Rotation> {
+    let read = |start: usize| std::array::from_fn(|element| f64::from(pose[start + element]));
+    rotations
+        .iter()
+        .map(|start| start.map_or(Rotation::IDENTITY, |start| Rotation::from_6d(&read(start))))
+        .collect()
+}
+
+/// First three channels as a vector.
+fn vector(channels: &[f32]) -> Vector {
+    std::array::from_fn(|axis| f64::from(channels[axis]))
+}
+
+/// Joint positions of one pose; see [`Body`], which is faster for many poses. // (channel) → (joint)
+pub fn to_joint_positions(
+    layout: &PoseLayout,
+    pose: &[f32],
+    skeleton: Option<&Skeleton>,
+) -> Option<Vec<Vector>> {
+    Some(Body::new(layout, skeleton)?.joint_positions(pose))
+}
