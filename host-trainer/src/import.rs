@@ -16,12 +16,17 @@ use crate::error::{Error, Result};
 use crate::layout::{PoseLayout, Unit};
 use crate::skeleton::Skeleton;
 
-pub mod files;
+mod files;
 pub mod labels;
-pub mod remarks;
-pub mod resample;
-pub mod npy;
-pub mod reachy;
+mod remarks;
+mod resample;
+mod npy;
+mod bvh;
+mod reachy;
+mod csv_tracks;
+
+#[cfg(test)]
+mod support;
 
 use files::ClipFile;
 use labels::LabelOptions;
@@ -35,19 +40,25 @@ pub const FRAME_COUNT_MIN: usize = 2;
 pub enum Format {
     /// NumPy arrays: (frames, joints, 3) or (frames, channels).
     Npy,
+    /// Biovision hierarchies.
+    Bvh,
     /// Reachy Mini recorded moves (JSON).
     Reachy,
+    /// Servo tracks as comma-separated values.
+    Csv,
 }
 
 impl Format {
     /// Every format, in the order in which a folder is searched: a `.json` beside a `.bvh` is a sidecar.
-    pub const ALL: [Self; 2] = [Self::Npy, Self::Reachy];
+    pub const ALL: [Self; 4] = [Self::Npy, Self::Bvh, Self::Reachy, Self::Csv];
 
     /// The extension of the format's files, in lower case.
     pub const fn extension(self) -> &'static str {
         match self {
             Self::Npy => "npy",
+            Self::Bvh => "bvh",
             Self::Reachy => "json",
+            Self::Csv => "csv",
         }
     }
 }
@@ -93,7 +104,9 @@ pub fn read(path: &Path, options: &ImportOptions) -> Result<ClipSet> {
     let actions = labels::actions(&files, options, &mut remarks)?;
     let recordings = match format {
         Format::Npy => npy::read(&files, options)?,
+        Format::Bvh => bvh::read(&files, options, &mut remarks)?,
         Format::Reachy => reachy::read(&files, options, &mut remarks)?,
+        Format::Csv => csv_tracks::read(&files, options, &mut remarks)?,
     };
     let clips = files
         .into_iter()
@@ -118,7 +131,7 @@ pub fn read(path: &Path, options: &ImportOptions) -> Result<ClipSet> {
 /// Refuses flags that the format would silently ignore, and values that no file could mean.
 fn check_flags(format: Format, options: &ImportOptions) -> Result<()> {
     let is_npy = format == Format::Npy;
-    let has_free_lengths = is_npy;
+    let has_free_lengths = is_npy || format == Format::Bvh;
     let unused = [
         ("--unit", options.unit.is_some() && !has_free_lengths),
         ("--scale", options.scale.is_some() && !has_free_lengths),
@@ -135,15 +148,8 @@ fn check_flags(format: Format, options: &ImportOptions) -> Result<()> {
             "leave it out",
         ));
     }
-    if let Some(rate_hz) = options.rate_hz.filter(|rate| !RATE_HZ_RANGE.contains(rate)) {
-        let expected = format!("{RATE_HZ_RANGE:?} poses per second");
-        return Err(Error::bad_input(
-            "--fps",
-            "rate",
-            rate_hz,
-            expected,
-            "correct it",
-        ));
+    if let Some(rate_hz) = options.rate_hz {
+        check_rate(Path::new("--fps"), rate_hz)?;
     }
     if let Some(scale) = options.scale.filter(|scale| !scale.is_normal()) {
         let expected = "a finite factor other than 0";
@@ -160,6 +166,16 @@ fn check_flags(format: Format, options: &ImportOptions) -> Result<()> {
 
 /// Rates that a motion of a body can have, poses per second; wider than any recorder known to us.
 pub const RATE_HZ_RANGE: std::ops::RangeInclusive<f64> = 1.0..=1000.0;
+
+/// Refuses a rate outside [`RATE_HZ_RANGE`], wherever it came from.
+pub(crate) fn check_rate(source: &Path, rate_hz: f64) -> Result<()> {
+    if RATE_HZ_RANGE.contains(&rate_hz) {
+        return Ok(());
+    }
+    let expected = format!("{RATE_HZ_RANGE:?} poses per second");
+    let remedy = "correct the rate or the times";
+    Err(Error::bad_input(source, "rate", rate_hz, expected, remedy))
+}
 
 /// Every unit, in the order of help texts.
 pub const UNITS: [Unit; 7] = [
@@ -234,24 +250,76 @@ fn frames(count: usize) -> String {
 
 #[cfg(test)]
 mod tests {
-    use std::path::PathBuf;
-
+    use super::support::{assert_refused, folder, npy_f32, shared};
     use super::*;
 
-    /// The shared data, or `None` after saying so; a missing folder is an error on CI.
-    fn shared(folder: &str) -> Option<PathBuf> {
-        let path =
-            PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/data")).join(folder);
-        if path.is_dir() {
-            return Some(path);
-        }
-        assert!(
-            std::env::var_os("CI").is_none(),
-            "{} is missing",
-            path.display()
+    fn frame_count(set: &ClipSet) -> usize {
+        set.clips
+            .iter()
+            .map(|clip| clip.frame_count(&set.layout))
+            .sum()
+    }
+
+    #[test]
+    fn flags_that_the_format_would_ignore_are_refused() {
+        let folder = folder(&[("walk.csv", b"time_s,jaw_deg\n0,1\n0.1,2\n")]);
+        let options = ImportOptions {
+            unit: Some(Unit::Degree),
+            ..Default::default()
+        };
+        assert_refused(
+            read(folder.path(), &options),
+            &["--unit", "csv", "leave it out"],
         );
-        eprintln!("SKIPPED: {} is missing", path.display());
-        None
+        let options = ImportOptions {
+            scale: Some(0.5),
+            ..Default::default()
+        };
+        assert_refused(read(folder.path(), &options), &["--scale", "csv"]);
+        let options = ImportOptions {
+            names: vec!["jaw".into()],
+            ..Default::default()
+        };
+        assert_refused(read(folder.path(), &options), &["--names", "csv"]);
+    }
+
+    #[test]
+    fn rates_and_scales_that_nothing_can_have_are_refused() {
+        let folder = folder(&[("walk.npy", &npy_f32("(2, 1)", &[0.0, 1.0]))]);
+        for rate_hz in [f64::NAN, 0.0, -20.0, 1e9] {
+            let options = ImportOptions {
+                rate_hz: Some(rate_hz),
+                ..Default::default()
+            };
+            assert_refused(read(folder.path(), &options), &["--fps", "1.0..=1000.0"]);
+        }
+        for scale in [f64::NAN, 0.0, f64::INFINITY] {
+            let options = ImportOptions {
+                scale: Some(scale),
+                ..Default::default()
+            };
+            assert_refused(read(folder.path(), &options), &["--scale", "finite factor"]);
+        }
+    }
+
+    #[test]
+    fn clips_actions_and_sources_stay_together() {
+        let folder = folder(&[
+            ("wave/1.csv", b"jaw_deg\n1\n2\n"),
+            ("nod/1.csv", b"jaw_deg\n3\n4\n"),
+        ]);
+        let options = ImportOptions {
+            rate_hz: Some(50.0),
+            ..Default::default()
+        };
+        let set = read(folder.path(), &options).unwrap();
+        let seen: Vec<_> = set
+            .clips
+            .iter()
+            .map(|clip| (clip.name.as_str(), clip.action.as_str(), clip.poses[0]))
+            .collect();
+        assert_eq!(seen, [("nod/1", "nod", 3.0), ("wave/1", "wave", 1.0)]);
+        assert!(set.clips[0].source.ends_with("nod/1.csv"));
     }
 
     #[test]
@@ -265,12 +333,23 @@ mod tests {
         };
         options.labels.action_column = Some("coarse".into());
         let set = read(&path, &options).unwrap();
-        let frame_count: usize = set
-            .clips
-            .iter()
-            .map(|clip| clip.frame_count(&set.layout))
-            .sum();
-        assert_eq!((set.clips.len(), frame_count), (1191, 90_099));
+        assert_eq!((set.clips.len(), frame_count(&set)), (1191, 90_099));
+        assert_eq!(set.layout.channel_count(), 72);
+        assert_eq!(set.remarks, Vec::<String>::new());
+    }
+
+    #[test]
+    fn cmu_clips_are_read_whole() {
+        let Some(path) = shared("cmu_mocap") else {
+            return;
+        };
+        let options = ImportOptions {
+            rate_hz: Some(12.0),
+            scale: Some(0.05),
+            ..Default::default()
+        };
+        let set = read(&path, &options).unwrap();
+        assert_eq!((set.clips.len(), frame_count(&set)), (970, 185_958));
         assert_eq!(set.remarks, Vec::<String>::new());
     }
 
@@ -280,13 +359,30 @@ mod tests {
             return;
         };
         let set = read(&path, &ImportOptions::default()).unwrap();
-        let frame_count: usize = set
-            .clips
-            .iter()
-            .map(|clip| clip.frame_count(&set.layout))
-            .sum();
-        assert_eq!((set.clips.len(), frame_count), (81, 23_162));
-        assert_eq!(set.rate_hz, 50.0);
+        assert_eq!((set.clips.len(), frame_count(&set)), (81, 23_162));
+        assert_eq!((set.rate_hz, set.layout.channel_count()), (50.0, 12));
         assert_eq!(set.remarks, Vec::<String>::new());
+    }
+
+    #[test]
+    fn bandai_hierarchies_are_read_whole() {
+        let Some(path) = shared("bandai_namco_bvh") else {
+            return;
+        };
+        let labels = LabelOptions::default()
+            .with_pattern(r"^dataset-\d_([a-z-]+)_")
+            .unwrap();
+        let options = ImportOptions {
+            labels,
+            ..Default::default()
+        };
+        let set = read(&path, &options).unwrap();
+        assert_eq!(
+            (set.clips.len(), frame_count(&set), set.rate_hz),
+            (60, 8_765, 30.0)
+        );
+        // One root translation and 21 rotations: the still joint above the hips is folded away.
+        assert_eq!(set.layout.channel_count(), 3 + 21 * 6);
+        assert_eq!(set.skeleton.unwrap().names[0], "Hips");
     }
 }

@@ -11,6 +11,7 @@ pub mod kinematics;
 pub mod body;
 pub mod clip;
 pub mod import;
+pub mod inspect;
 pub mod represent;
 pub mod dataset;
 pub mod config;

@@ -1,10 +1,13 @@
 //! `host-trainer inspect PATH` on clip files, and the flags by which every verb reads clips.
 
+use std::io::{ErrorKind, Write};
 use std::path::PathBuf;
 
-use crate::error::Result;
+use crate::error::{Error, Result};
+use crate::import;
 use crate::import::labels::{LabelOptions, LabelSource};
 use crate::import::{Format, ImportOptions};
+use crate::inspect::ClipReport;
 use crate::layout::Unit;
 
 /// What clip files do not say themselves.
@@ -53,7 +56,7 @@ impl ImportArgs {
     /// The strict options of everything that trains; `inspect` tolerates more.
     ///
     /// # Errors
-    /// [`Error::BadInput`](crate::error::Error::BadInput) if the pattern is not usable.
+    /// [`Error::BadInput`] if the pattern is not usable.
     pub fn options(&self) -> Result<ImportOptions> {
         Ok(ImportOptions {
             format: self.format,
@@ -86,7 +89,45 @@ impl ImportArgs {
     }
 }
 
+/// Reports what clip files hold.
+#[derive(Clone, Debug, clap::Args)]
+pub struct InspectClipsArgs {
+    /// Clip file, or folder of clip files
+    pub path: PathBuf,
+    /// Print JSON instead of tables
+    #[arg(long)]
+    pub json: bool,
+    /// What the files do not say themselves
+    #[command(flatten)]
+    pub import: ImportArgs,
+}
+
+/// Prints the report on stdout; warnings in it are no error.
+///
+/// # Errors
+/// [`Error::BadInput`] and [`Error::Io`] of the import, except for what `inspect` is there to report.
+pub fn run(args: &InspectClipsArgs) -> Result<()> {
+    let options = ImportOptions {
+        tolerate_non_finite: true,
+        tolerate_missing_labels: true,
+        ..args.import.options()?
+    };
+    let report = ClipReport::new(&import::read(&args.path, &options)?);
+    let text = match args.json {
+        true => serde_json::to_string_pretty(&report).map_err(|error| Error::Io {
+            path: "stdout".into(),
+            action: "write",
+            source: error.into(),
+        })?,
+        false => report.to_string(),
+    };
+    match writeln!(std::io::stdout(), "{}", text.trim_end()) {
+        Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(()), // `| head` has seen enough.
+        result => result.map_err(Error::io("write", "stdout")),
+    }
+}
+
 fn parse_unit(text: &str) -> std::result::Result<Unit, String> {
-    let known = crate::import::UNITS.map(Unit::suffix).join(", ");
-    crate::import::unit_of_suffix(text).ok_or_else(|| format!("expected one of {known}"))
+    let known = import::UNITS.map(Unit::suffix).join(", ");
+    import::unit_of_suffix(text).ok_or_else(|| format!("expected one of {known}"))
 }

@@ -67,7 +67,8 @@ fn candidates(folder: &Path, options: &ImportOptions) -> Result<Vec<PathBuf>> {
     let is_clip = |path: &PathBuf| {
         let is_labels = path.file_name().is_some_and(|name| name == LABELS_FILE)
             || options.labels.is_labels_file(path);
-        path.is_file() && format_of(path).is_some() && !is_labels
+        let is_wanted = |format| options.format.is_none_or(|wanted| wanted == format);
+        path.is_file() && format_of(path).is_some_and(is_wanted) && !is_labels
     };
     let entries = list(folder)?;
     let mut paths: Vec<PathBuf> = entries
@@ -83,11 +84,16 @@ fn candidates(folder: &Path, options: &ImportOptions) -> Result<Vec<PathBuf>> {
     Ok(paths)
 }
 
+/// Everything in a folder but hidden entries: `._clip.npy` is what a Mac leaves behind, not a clip.
 fn list(folder: &Path) -> Result<Vec<PathBuf>> {
-    let entries = fs::read_dir(folder).map_err(Error::io("list", folder))?;
-    entries
-        .map(|entry| Ok(entry.map_err(Error::io("list", folder))?.path()))
-        .collect()
+    let mut paths = Vec::new();
+    for entry in fs::read_dir(folder).map_err(Error::io("list", folder))? {
+        let entry = entry.map_err(Error::io("list", folder))?;
+        if !entry.file_name().to_string_lossy().starts_with('.') {
+            paths.push(entry.path());
+        }
+    }
+    Ok(paths)
 }
 
 /// The first format of [`Format::ALL`] that any file has.
@@ -146,4 +152,92 @@ fn no_clips(path: &Path, value: &str) -> Error {
         expected,
         "name the folder that holds the clips",
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::support::{assert_refused, folder};
+    use super::*;
+
+    fn find_in(path: &Path, options: &ImportOptions) -> Result<(Format, Vec<ClipFile>)> {
+        find(path, options, &mut Remarks::default())
+    }
+
+    fn names(files: &[ClipFile]) -> Vec<&str> {
+        files.iter().map(|file| file.name.as_str()).collect()
+    }
+
+    #[test]
+    fn missing_path_is_refused() {
+        let result = find_in(Path::new("/no/such/clips"), &ImportOptions::default());
+        assert_refused(result, &["/no/such/clips", "cannot read"]);
+    }
+
+    #[test]
+    fn folder_without_clips_is_refused() {
+        let folder = folder(&[("readme.txt", b""), ("labels.csv", b"clip,action\n")]);
+        let result = find_in(folder.path(), &ImportOptions::default());
+        assert_refused(
+            result,
+            &["nothing that looks like a clip", ".npy, .bvh, .json, .csv"],
+        );
+    }
+
+    #[test]
+    fn folder_without_clips_of_the_wanted_format_is_refused() {
+        let folder = folder(&[("a.json", b"{}")]);
+        let options = ImportOptions {
+            format: Some(Format::Bvh),
+            ..Default::default()
+        };
+        assert_refused(find_in(folder.path(), &options), &["without any .bvh file"]);
+    }
+
+    #[test]
+    fn two_clips_of_one_name_are_refused() {
+        let folder = folder(&[("a.npy", b""), ("a.NPY", b"")]);
+        let result = find_in(folder.path(), &ImportOptions::default());
+        assert_refused(result, &["clip name is a", "rename one of the two"]);
+    }
+
+    #[test]
+    fn clips_of_one_subfolder_keep_their_short_names() {
+        let folder = folder(&[
+            ("clips/b.npy", b""),
+            ("clips/a.npy", b""),
+            ("labels.csv", b""),
+        ]);
+        let (format, files) = find_in(folder.path(), &ImportOptions::default()).unwrap();
+        assert_eq!((format, names(&files)), (Format::Npy, vec!["a", "b"]));
+    }
+
+    #[test]
+    fn clips_of_several_subfolders_carry_the_folder_in_their_names() {
+        let folder = folder(&[("wave/1.csv", b""), ("nod/1.csv", b""), (".git/1.csv", b"")]);
+        let (_, files) = find_in(folder.path(), &ImportOptions::default()).unwrap();
+        assert_eq!(names(&files), ["nod/1", "wave/1"]);
+        assert_eq!(files[0].folder_name(), "nod");
+    }
+
+    #[test]
+    fn sidecars_hidden_files_and_labels_are_no_clips() {
+        let bytes: &[u8] = b"";
+        let entries = ["a.bvh", "a.json", "._a.bvh", "labels.csv"].map(|name| (name, bytes));
+        let folder = folder(&entries);
+        let mut remarks = Remarks::default();
+        let (format, files) = find(folder.path(), &ImportOptions::default(), &mut remarks).unwrap();
+        assert_eq!((format, names(&files)), (Format::Bvh, vec!["a"]));
+        assert!(remarks.into_lines()[0].ends_with("1 files other than .bvh ignored"));
+    }
+
+    #[test]
+    fn single_file_is_a_set_of_one() {
+        let folder = folder(&[("a.dat", b"")]);
+        let options = ImportOptions {
+            format: Some(Format::Csv),
+            ..Default::default()
+        };
+        let (_, files) = find_in(&folder.path().join("a.dat"), &options).unwrap();
+        assert_eq!(names(&files), ["a"]);
+    }
 }

@@ -285,3 +285,222 @@ fn read_groups(path: &Path) -> Result<BTreeMap<String, String>> {
     }
     Ok(actions)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::support::{assert_refused, folder};
+    use super::super::{Format, files};
+    use super::*;
+
+    /// Labels the csv files of a folder.
+    fn label(
+        entries: &[(&str, &[u8])],
+        labels: LabelOptions,
+    ) -> Result<(Vec<String>, Vec<String>)> {
+        let folder = folder(entries);
+        let source = match labels.source {
+            LabelSource::File(name) => LabelSource::File(folder.path().join(name)),
+            other => other,
+        };
+        let groups = labels.groups.map(|name| folder.path().join(name));
+        let labels = LabelOptions {
+            source,
+            groups,
+            ..labels
+        };
+        let options = ImportOptions {
+            labels,
+            format: Some(Format::Npy),
+            ..Default::default()
+        };
+        let mut remarks = Remarks::default();
+        let (_, files) = files::find(folder.path(), &options, &mut remarks)?;
+        Ok((
+            actions(&files, &options, &mut remarks)?,
+            remarks.into_lines(),
+        ))
+    }
+
+    const CLIPS: [(&str, &[u8]); 2] = [("walk1.npy", b""), ("wave1.npy", b"")];
+
+    fn with<'a>(name: &'a str, text: &'a [u8]) -> Vec<(&'a str, &'a [u8])> {
+        CLIPS.into_iter().chain([(name, text)]).collect()
+    }
+
+    #[test]
+    fn clip_without_any_label_is_refused() {
+        let words = [
+            "walk1.npy",
+            "missing (as for 2 of 2 clips)",
+            "--label-pattern",
+        ];
+        assert_refused(label(&CLIPS, LabelOptions::default()), &words);
+    }
+
+    #[test]
+    fn clip_without_a_row_or_with_an_empty_one_is_refused() {
+        for table in [
+            &b"clip,action\nwalk1,walk\n"[..],
+            b"clip,action\nwalk1,walk\nwave1,\n",
+        ] {
+            let result = label(&with("labels.csv", table), LabelOptions::default());
+            assert_refused(
+                result,
+                &["wave1.npy", "label is missing (as for 1 of 2 clips)"],
+            );
+        }
+    }
+
+    #[test]
+    fn clip_with_two_rows_is_refused() {
+        let table = b"clip,action\nwalk1,walk\nwave1,wave\nwalk1,run\n";
+        let result = label(&with("labels.csv", table), LabelOptions::default());
+        assert_refused(
+            result,
+            &["labels.csv", "line 4, clip walk1", "run", "says walk"],
+        );
+    }
+
+    #[test]
+    fn table_with_ragged_rows_is_refused() {
+        let table = b"clip,action\nwalk1,walk,fast\n";
+        let result = label(&with("labels.csv", table), LabelOptions::default());
+        assert_refused(result, &["labels.csv", "line: 2", "3 fields"]);
+    }
+
+    #[test]
+    fn table_that_is_no_text_is_refused() {
+        let result = label(
+            &with("labels.csv", b"clip,action\n\xff,\xfe\n"),
+            LabelOptions::default(),
+        );
+        assert_refused(result, &["labels.csv", "UTF-8"]);
+        let result = label(&with("labels.csv", b""), LabelOptions::default());
+        assert_refused(result, &["labels.csv", "header"]);
+    }
+
+    #[test]
+    fn ambiguous_or_unknown_columns_are_refused() {
+        let table = b"clip,coarse,fine\nwalk1,walk,slow\nwave1,wave,slow\n";
+        let entries = with("labels.csv", table);
+        let result = label(&entries, LabelOptions::default());
+        assert_refused(result, &["clip,coarse,fine", "--label-action-column"]);
+        let action_column = Some("course".into());
+        let result = label(
+            &entries,
+            LabelOptions {
+                action_column,
+                ..Default::default()
+            },
+        );
+        assert_refused(
+            result,
+            &["--label-action-column is course", "clip, coarse, fine"],
+        );
+        let clip_column = Some("name".into());
+        let result = label(
+            &entries,
+            LabelOptions {
+                clip_column,
+                ..Default::default()
+            },
+        );
+        assert_refused(result, &["--label-clip-column is name"]);
+    }
+
+    #[test]
+    fn unusable_patterns_are_refused() {
+        for pattern in ["(", "walk", "(a)(b)"] {
+            let result = LabelOptions::default().with_pattern(pattern);
+            assert_refused(result, &["--label-pattern", "one capture group"]);
+        }
+    }
+
+    #[test]
+    fn clip_that_the_pattern_does_not_match_is_refused() {
+        let labels = LabelOptions::default().with_pattern("^(walk)").unwrap();
+        assert_refused(label(&CLIPS, labels), &["wave1.npy", "label is missing"]);
+    }
+
+    #[test]
+    fn labels_without_a_group_are_listed() {
+        let labels = LabelOptions::default().with_pattern(r"^([a-z]+)").unwrap();
+        let labels = LabelOptions {
+            groups: Some("groups.toml".into()),
+            ..labels
+        };
+        let result = label(&with("groups.toml", b"calm = ['sit']"), labels);
+        assert_refused(result, &["groups.toml", "missing labels", "walk, wave"]);
+    }
+
+    #[test]
+    fn unusable_groups_are_refused() {
+        let labels = LabelOptions::default().with_pattern(r"^([a-z]+)").unwrap();
+        let labels = LabelOptions {
+            groups: Some("groups.toml".into()),
+            ..labels
+        };
+        for text in ["calm = 'walk'", "calm ["] {
+            let result = label(&with("groups.toml", text.as_bytes()), labels.clone());
+            assert_refused(result, &["groups.toml", "happy = ["]);
+        }
+        let text = b"calm = ['walk', 'wave']\nfast = ['walk']";
+        let result = label(&with("groups.toml", text), labels);
+        assert_refused(result, &["walk is in calm and in fast", "one group"]);
+    }
+
+    #[test]
+    fn table_labels_by_name_or_file_name_and_unused_rows_are_remarked() {
+        let table = "\u{feff}clip , action\nwave1.npy, wave\nwalk1,walk\nrun1,run\n";
+        let (actions, remarks) = label(
+            &with("labels.csv", table.as_bytes()),
+            LabelOptions::default(),
+        )
+        .unwrap();
+        assert_eq!(actions, ["walk", "wave"]);
+        assert!(remarks[0].ends_with("1 labels without a clip file (first: run1)"));
+    }
+
+    #[test]
+    fn named_table_and_named_columns_win() {
+        let table = b"id,file,what\n1,walk1,stroll\n2,wave1,greet\n";
+        let labels = LabelOptions {
+            source: LabelSource::File("table.csv".into()),
+            clip_column: Some("file".into()),
+            action_column: Some("what".into()),
+            groups: None,
+        };
+        assert_eq!(
+            label(&with("table.csv", table), labels).unwrap().0,
+            ["stroll", "greet"]
+        );
+    }
+
+    #[test]
+    fn pattern_and_groups_join_labels() {
+        let labels = LabelOptions::default()
+            .with_pattern(r"^([a-z_]+?)\d+$")
+            .unwrap();
+        let labels = LabelOptions {
+            groups: Some("groups.toml".into()),
+            ..labels
+        };
+        let text = b"lively = ['walk', 'wave', 'run']";
+        let (actions, remarks) = label(&with("groups.toml", text), labels).unwrap();
+        assert_eq!(actions, ["lively", "lively"]);
+        assert!(remarks[0].ends_with("label run occurs in no clip"));
+    }
+
+    #[test]
+    fn folders_label_where_there_is_no_table() {
+        let entries: [(&str, &[u8]); 2] = [("nod/1.npy", b""), ("wave/1.npy", b"")];
+        let (actions, _) = label(&entries, LabelOptions::default()).unwrap();
+        assert_eq!(actions, ["nod", "wave"]);
+        let entries: [(&str, &[u8]); 1] = [("nod/1.npy", b"")];
+        let labels = LabelOptions {
+            source: LabelSource::Folder,
+            ..Default::default()
+        };
+        assert_eq!(label(&entries, labels).unwrap().0, ["nod"]);
+    }
+}

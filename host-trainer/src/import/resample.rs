@@ -64,6 +64,11 @@ pub(crate) fn check_times(
 
 const REPAIR: &str = "repair the times or record again";
 
+/// The rate of a frame time, rounded to a hundredth: `0.0333333` stands for 30 Hz, `0.0333667` for 29.97 Hz.
+pub(crate) fn rounded_rate_hz(frame_time_s: f64) -> f64 {
+    (100.0 / frame_time_s).round() / 100.0
+}
+
 /// Whether pose i lies at i / rate after the first, up to rounding.
 pub(crate) fn is_regular(times_s: &[f64], rate_hz: f64) -> bool {
     let start_s = times_s.first().copied().unwrap_or(0.0);
