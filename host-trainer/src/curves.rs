@@ -3,7 +3,8 @@
 //! In:  motions of any layout (from `picture`).
 //! Out: SVG.
 //!
-//! Rotations are drawn as rotation vectors in degrees, which a reader can picture, and not as matrix elements.
+//! Rotations are drawn as rotation vectors in degrees, which a reader can picture, and not as
+//! matrix elements.
 
 use crate::export::Motion;
 use crate::layout::{Group, GroupKind, PoseLayout};
@@ -19,6 +20,10 @@ const PANEL_WIDTH: f64 = 360.0;
 const PANEL_HEIGHT: f64 = 150.0;
 /// Room for tick labels left of a panel's frame, for its name above and for seconds below.
 const PANEL_INSET: (f64, f64, f64) = (44.0, 26.0, 22.0);
+
+/// A curve whose range is a smaller part of its value is drawn as a level, not as its rounding
+/// noise.
+const FLAT_RANGE: f64 = 1e-4;
 
 /// One panel: a name with its unit, and a curve a motion. // (motion, frame)
 struct Panel {
@@ -150,7 +155,8 @@ fn draw_grid(svg: &mut Svg, axes: &Axes) {
     );
 }
 
-/// Range of all curves with a little air; a flat panel gets some so that its line lies in the middle.
+/// Range of all curves with a little air; a flat panel gets some so that its line lies in the
+/// middle.
 fn padded_range(curves: &[Vec<f64>]) -> (f64, f64) {
     let (min, max) = curves
         .iter()
@@ -162,7 +168,14 @@ fn padded_range(curves: &[Vec<f64>]) -> (f64, f64) {
     if min > max {
         return (-1.0, 1.0);
     }
-    let air = (0.06 * (max - min)).max(1e-6 * max.abs().max(min.abs()).max(1e-3));
+    let size = max.abs().max(min.abs());
+    let air = if max - min > FLAT_RANGE * size {
+        0.06 * (max - min)
+    } else if size > 0.0 {
+        0.1 * size
+    } else {
+        1.0
+    };
     (min - air, max + air)
 }
 

@@ -1,11 +1,13 @@
 //! Station 2: standardised training pairs.
 //!
 //! In:  [`ClipSet`](crate::clip::ClipSet) in its training representation.
-//! Out: [`Dataset`] to `train`; its [`DatasetDescription`] lives on in the checkpoint and in the blob.
+//! Out: [`Dataset`] to `train`; its [`DatasetDescription`] lives on in the checkpoint and in the
+//! blob.
 //!
-//! Why one scale a kind: the loss is a mean of squares over all channels. Rotations share a scale, and positions share
-//! one, so that a joint that moves little keeps its small weight instead of having its noise blown up to a joint's
-//! full weight; a translation and a servo are quantities of their own and get their own.
+//! Why one scale a kind: the loss is a mean of squares over all channels. Rotations share a scale,
+//! and positions share one, so that a joint that moves little keeps its small weight instead of
+//! having its noise blown up to a joint's full weight; a translation and a servo are quantities of
+//! their own and get their own.
 
 use std::ops::Range;
 
@@ -75,13 +77,14 @@ pub struct DatasetOptions {
     pub standardization: Standardization,
 }
 
-/// A constant channel's scale, relative to its value: so small that f32 output rounds to the constant itself.
+/// A constant channel's scale, relative to its value: so small that f32 output rounds to the
+/// constant itself.
 const CONSTANT_CHANNEL_SCALE: f32 = 1e-9;
 
 /// Puts the clips in training order and standardises them.
 ///
-/// Sums are accumulated in f64. A channel that never changes gets a scale of 1e-9 of its value (at least 1e-9 units): it
-/// trains to 0 and comes back as the constant.
+/// Sums are accumulated in f64. A channel that never changes gets a scale of 1e-9 of its value (at
+/// least 1e-9 units): it trains to 0 and comes back as the constant.
 ///
 /// # Errors
 /// - No clips at all.
@@ -269,7 +272,8 @@ fn constant_scale(mean: f32) -> f32 {
 }
 
 impl DatasetDescription {
-    /// Whether the channel had one value in all clips; it standardises to 0 and comes back as that value.
+    /// Whether the channel had one value in all clips; it standardises to 0 and comes back as that
+    /// value.
     pub fn is_constant(&self, channel: usize) -> bool {
         self.scale[channel] <= constant_scale(self.mean[channel])
     }
@@ -457,7 +461,8 @@ mod tests {
         fn destandardize_undoes_standardize(
             poses in prop::collection::vec(-1000.0..1000.0f32, 11 * 5)
         ) {
-            let kinds = [GroupKind::Translation, GroupKind::Rotation6d, GroupKind::Scalar, GroupKind::Scalar];
+            use GroupKind::{Rotation6d, Scalar, Translation};
+            let kinds = [Translation, Rotation6d, Scalar, Scalar];
             let set = clip_set(&kinds, &[("a", "x", poses.clone())]);
             let dataset = build(&set, &DatasetOptions::default()).unwrap();
             let mean: f32 = dataset.poses.iter().step_by(11).sum();

@@ -10,6 +10,7 @@ use npyz::WriterBuilder;
 use serde::Serialize;
 
 use crate::body::Body;
+use crate::bvh_export as bvh;
 use crate::error::{Error, Result};
 use crate::layout::PoseLayout;
 use crate::skeleton::Skeleton;
@@ -62,10 +63,13 @@ impl Motion {
 pub enum ExportFormat {
     /// One row a pose, time in seconds first, names with units in the header.
     Csv,
-    /// f32 (frames, channels); for bodies also (frames, joints, 3) in the folder `joints` beside it.
+    /// f32 (frames, channels); for bodies also (frames, joints, 3) in the folder `joints` beside
+    /// it.
     Npy,
     /// Self-describing: layout, skeleton, provenance and poses.
     Json,
+    /// Joint hierarchy and Euler angles for animation programs; bodies given by rotations only.
+    Bvh,
 }
 
 impl ExportFormat {
@@ -75,6 +79,7 @@ impl ExportFormat {
             Self::Csv => "csv",
             Self::Npy => "npy",
             Self::Json => "json",
+            Self::Bvh => "bvh",
         }
     }
 }
@@ -99,7 +104,7 @@ pub fn write(
     path: &Path,
     overwrite: Overwrite,
 ) -> Result<Vec<PathBuf>> {
-    let bytes = encode(motion, format).map_err(Error::io("encode", path))?;
+    let bytes = encode(motion, format, path)?;
     let mut files = vec![(path.to_owned(), bytes)];
     if let (ExportFormat::Npy, Some(joints)) = (format, motion.joint_positions()) {
         let folder = path.parent().unwrap_or(Path::new("")).join("joints");
@@ -119,7 +124,7 @@ pub fn write(
     Ok(files.into_iter().map(|(file, _)| file).collect())
 }
 
-fn encode(motion: &Motion, format: ExportFormat) -> std::io::Result<Vec<u8>> {
+fn encode(motion: &Motion, format: ExportFormat, path: &Path) -> Result<Vec<u8>> {
     match format {
         ExportFormat::Csv => Ok(csv(motion).into_bytes()),
         ExportFormat::Npy => {
@@ -127,13 +132,23 @@ fn encode(motion: &Motion, format: ExportFormat) -> std::io::Result<Vec<u8>> {
                 motion.frame_count() as u64,
                 motion.layout.channel_count() as u64,
             ];
-            npy(&shape, motion.poses.iter().copied())
+            npy(&shape, motion.poses.iter().copied()).map_err(Error::io("encode", path))
         }
-        ExportFormat::Json => json(motion),
+        ExportFormat::Json => json(motion).map_err(Error::io("encode", path)),
+        ExportFormat::Bvh => bvh::emit(motion).map(String::into_bytes).ok_or_else(|| {
+            Error::bad_input(
+                path,
+                "format",
+                "bvh",
+                "a model of joint rotations with a skeleton",
+                "write csv, npy or json, or train with the representation rotations",
+            )
+        }),
     }
 }
 
-/// Comment lines, a header `time_s,jaw_deg,…`, one row a pose. Numbers have as many digits as give the same f32 back.
+/// Comment lines, a header `time_s,jaw_deg,…`, one row a pose. Numbers have as many digits as give
+/// the same f32 back.
 fn csv(motion: &Motion) -> String {
     let one_line = |text: &str| text.replace(['\r', '\n'], " ");
     let mut text = format!(
@@ -227,8 +242,7 @@ pub fn write_atomically(path: &Path, bytes: &[u8], overwrite: Overwrite) -> Resu
         Some(folder) if !folder.as_os_str().is_empty() => folder,
         _ => Path::new("."),
     };
-    let mut file =
-        tempfile::NamedTempFile::new_in(folder).map_err(Error::io("write in", folder))?;
+    let mut file = new_file_in(folder).map_err(Error::io("write in", folder))?;
     file.write_all(bytes).map_err(Error::io("write", path))?;
     file.as_file()
         .sync_all()
@@ -243,6 +257,15 @@ pub fn write_atomically(path: &Path, bytes: &[u8], overwrite: Overwrite) -> Resu
     persisted
         .map(drop)
         .map_err(|error| Error::io("write", path)(error.error))
+}
+
+/// A temporary file that others may read as far as the user's mask allows; `tempfile`'s own default
+/// is private.
+fn new_file_in(folder: &Path) -> std::io::Result<tempfile::NamedTempFile> {
+    let mut builder = tempfile::Builder::new();
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+    builder.tempfile_in(folder)
 }
 
 #[cfg(test)]

@@ -4,22 +4,25 @@
 //! Out: local rotations to `represent`; joint positions to pictures and metrics.
 //!
 //! Convention: `position(child) = position(joint) + R(joint) · offset(child)` with
-//! `R(joint) = R(parent) · local(joint)`, as in SMPL and BVH. One rotation then serves all children of a joint, which
-//! is exact only if they are rigid among themselves. They are, in all 1191 clips of HumanAct12 (bones and the distances
-//! among the children of pelvis and spine3 vary by less than 3 µm, the rounding of f32), so the convention that
-//! restarts a chain at every joint, as Action2Motion's, is not needed.
+//! `R(joint) = R(parent) · local(joint)`, as in SMPL and BVH. One rotation then serves all children
+//! of a joint, which is exact only if they are rigid among themselves. They are, in all 1191 clips
+//! of HumanAct12 (bones and the distances among the children of pelvis and spine3 vary by less than
+//! 3 µm, the rounding of f32), so the convention that restarts a chain at every joint, as
+//! Action2Motion's, is not needed.
 //!
-//! Twist: the position of one child does not fix the rotation about its own bone. We take none relative to the
-//! parent: the rotation is then a function of the pose alone and as continuous as the pose. Leaves have no child and
-//! stay at the identity. (Turning first to the mean direction of a bone, to keep its half turn far from the data, was
-//! tried: of 2 million steps of HumanAct12 those above one radian fell from 2794 to 2764, so what jumps is the data.)
+//! Twist: the position of one child does not fix the rotation about its own bone. We take none
+//! relative to the parent: the rotation is then a function of the pose alone and as continuous as
+//! the pose. Leaves have no child and stay at the identity. (Turning first to the mean direction of
+//! a bone, to keep its half turn far from the data, was tried: of 2 million steps of HumanAct12
+//! those above one radian fell from 2794 to 2764, so what jumps is the data.)
 
 use faer::{Mat, Side};
 
 use crate::rotation::{Rotation, Vector, add, any_perpendicular, length, scale, subtract, unit};
 use crate::skeleton::Skeleton;
 
-/// Gap between the two largest eigenvalues, relative to their size, under which several child directions are one.
+/// Gap between the two largest eigenvalues, relative to their size, under which several child
+/// directions are one.
 const DIRECTION_GAP_MIN: f64 = 1e-6;
 
 /// Joint positions from local rotations. // (joint)
@@ -106,7 +109,8 @@ impl<'a> InverseKinematics<'a> {
     }
 }
 
-/// The swing from `rest` to `bone`; at the half turn, where that is undetermined, the way on from the previous pose.
+/// The swing from `rest` to `bone`; at the half turn, where that is undetermined, the way on from
+/// the previous pose.
 fn swing(rest: Vector, bone: Vector, previous: &Rotation) -> Rotation {
     Rotation::between(rest, bone).unwrap_or_else(|| {
         let way = Rotation::between(previous.apply(rest), bone);
@@ -123,7 +127,8 @@ fn half_turn(direction: Vector) -> Rotation {
 ///
 /// `None` unless the pairs span a plane.
 ///
-/// Source: Horn, 1987: the quaternion is the eigenvector of the largest eigenvalue of a symmetric 4 × 4 matrix.
+/// Source: Horn, 1987: the quaternion is the eigenvector of the largest eigenvalue of a symmetric 4
+/// × 4 matrix.
 pub fn align(pairs: &[(Vector, Vector)]) -> Option<Rotation> {
     if pairs.len() < 2 {
         return None;
@@ -155,9 +160,10 @@ pub fn align(pairs: &[(Vector, Vector)]) -> Option<Rotation> {
 
 /// Rest offsets of one body, measured on its own poses. // positions: (frame, joint) → (joint)
 ///
-/// Lengths are means over the frames. Directions are `rest`'s, except that several children of one joint keep the
-/// shape among themselves that they have in the poses, turned as a whole as close to `rest` as it goes: so bodies of
-/// different build get the same rest pose, and inverse kinematics stays exact.
+/// Lengths are means over the frames. Directions are `rest`'s, except that several children of one
+/// joint keep the shape among themselves that they have in the poses, turned as a whole as close to
+/// `rest` as it goes: so bodies of different build get the same rest pose, and inverse kinematics
+/// stays exact.
 pub fn measure_offsets(
     skeleton: &Skeleton,
     rest: &[Vector],
@@ -281,7 +287,8 @@ mod tests {
             let normal = crate::rotation::cross(
                 subtract(points[1], points[0]), subtract(points[2], points[0]));
             prop_assume!(length(normal) > 0.1);
-            let pairs: Vec<_> = points.iter().map(|point| (*point, rotation.apply(*point))).collect();
+            let pairs: Vec<_> =
+                points.iter().map(|point| (*point, rotation.apply(*point))).collect();
             let found = align(&pairs).unwrap();
             prop_assert!(found.angle_to_rad(&rotation) < 1e-6);
         }

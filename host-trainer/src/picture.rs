@@ -1,7 +1,8 @@
 //! Generated motions → one picture that shows at a glance whether they live.
 //!
 //! In:  [`Motion`]s of one layout, from `generate`.
-//! Out: an SVG contact sheet: skeleton figures over time for bodies, small curves for everything else.
+//! Out: an SVG contact sheet: skeleton figures over time for bodies, small curves for everything
+//! else.
 
 use std::path::Path;
 

@@ -1,10 +1,11 @@
 //! Station 1b: clips as imported → clips as trained.
 //!
-//! In:  [`ClipSet`] of an importer; human joints come as absolute positions, one `Position` group a joint.
+//! In:  [`ClipSet`] of an importer; human joints come as absolute positions, one `Position` group a
+//! joint.
 //! Out: [`ClipSet`] in its training representation to `dataset`.
 //!
-//! Why here: the decoder learns what it is given. Positions are simplest and exact; rotations can be sent to motors
-//! and keep bones rigid.
+//! Why here: the decoder learns what it is given. Positions are simplest and exact; rotations can
+//! be sent to motors and keep bones rigid.
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -12,10 +13,9 @@ use serde::{Deserialize, Serialize};
 use crate::body::Body;
 use crate::clip::{Clip, ClipSet};
 use crate::error::{Error, Result};
-use crate::infer_skeleton::infer_skeleton;
-use crate::kinematics::{InverseKinematics, joint_distances, measure_offsets};
 use crate::layout::{Group, GroupKind, PoseLayout, Unit};
-use crate::rotation::{Vector, add, length, scale, subtract};
+use crate::represent_rotations::rotations;
+use crate::rotation::{Vector, subtract};
 use crate::skeleton::Skeleton;
 
 pub use crate::body::to_joint_positions;
@@ -29,20 +29,18 @@ pub enum Representation {
     AsIs,
     /// Root translation since frame 0, and every other joint relative to the root of its frame.
     Positions,
-    /// Root translation since frame 0, and one local rotation a joint, joint 0 being the global orientation.
+    /// Root translation since frame 0, and one local rotation a joint, joint 0 being the global
+    /// orientation.
     Rotations,
 }
 
 /// Name of the root's translation group.
 pub const ROOT_NAME: &str = "root";
 
-/// A bone counts as constant while its length varies by less than this part of its mean.
-const LENGTH_VARIATION_MAX: f64 = 1e-3;
-
 /// Brings a clip set into its training representation.
 ///
-/// `skeleton` replaces the set's own; its joint names become the group names. `Rotations` without any skeleton infers
-/// the tree from the distances that stay constant, and says so in the remarks.
+/// `skeleton` replaces the set's own; its joint names become the group names. `Rotations` without
+/// any skeleton infers the tree from the distances that stay constant, and says so in the remarks.
 ///
 /// # Errors
 /// - `Positions` or `Rotations` of clips that are not a body.
@@ -55,7 +53,8 @@ pub fn represent(
     represent_with_bones(clip_set, representation, skeleton).map(|(clip_set, _)| clip_set)
 }
 
-/// As [`represent`]; also every clip's own bones, which forward kinematics needs to give the clip's positions back.
+/// As [`represent`]; also every clip's own bones, which forward kinematics needs to give the clip's
+/// positions back.
 /// // (clip, joint); no clips unless rotations were found by inverse kinematics
 pub fn represent_with_bones(
     mut clip_set: ClipSet,
@@ -70,6 +69,9 @@ pub fn represent_with_bones(
         return Ok((clip_set, Vec::new()));
     }
     let body = check_body(&clip_set)?;
+    if representation == Representation::Rotations && body.has_rotations() {
+        return Ok((rebase_roots(clip_set), Vec::new()));
+    }
     let joints = clip_set
         .clips
         .par_iter()
@@ -81,7 +83,8 @@ pub fn represent_with_bones(
     }
 }
 
-fn source_of(clip_set: &ClipSet) -> &std::path::Path {
+/// The file to blame for what concerns all clips.
+pub(crate) fn source_of(clip_set: &ClipSet) -> &std::path::Path {
     let first = clip_set.clips.first();
     first.map_or(std::path::Path::new("clips"), |clip| clip.source.as_path())
 }
@@ -125,8 +128,26 @@ fn since_first_root(body: &Body, layout: &PoseLayout, clip: &Clip) -> Vec<Vec<Ve
     frames
 }
 
+/// Rotations of the source stay what they are, twist included; only the root starts at zero.
+fn rebase_roots(mut clip_set: ClipSet) -> ClipSet {
+    let layout = &clip_set.layout;
+    let root = layout
+        .ranges()
+        .find(|(group, _)| group.kind == GroupKind::Translation);
+    let root = root.map_or(0..0, |(_, range)| range);
+    for clip in &mut clip_set.clips {
+        let start: Vec<f32> = clip.poses.get(root.clone()).unwrap_or_default().to_vec();
+        for pose in clip.poses.chunks_exact_mut(layout.channel_count()) {
+            for (value, start) in pose[root.clone()].iter_mut().zip(&start) {
+                *value -= start;
+            }
+        }
+    }
+    clip_set
+}
+
 /// Layout of the root's translation and one group of `kind` for each of `names`.
-fn body_layout(
+pub(crate) fn body_layout(
     clip_set: &ClipSet,
     kind: GroupKind,
     names: impl IntoIterator<Item = String>,
@@ -151,7 +172,7 @@ fn body_layout(
 }
 
 /// The skeleton's names, else the groups'; "root" is the translation's and never a joint's.
-fn joint_names(clip_set: &ClipSet) -> Vec<String> {
+pub(crate) fn joint_names(clip_set: &ClipSet) -> Vec<String> {
     let mut names: Vec<String> = match &clip_set.skeleton {
         Some(skeleton) => skeleton.names.clone(),
         None => clip_set
@@ -182,177 +203,10 @@ fn positions(mut clip_set: ClipSet, joints: Vec<Vec<Vec<Vector>>>) -> ClipSet {
     clip_set
 }
 
-fn rotations(
-    mut clip_set: ClipSet,
-    joints: Vec<Vec<Vec<Vector>>>,
-) -> Result<(ClipSet, Vec<Vec<Vector>>)> {
-    let mut skeleton = match clip_set.skeleton.take() {
-        Some(skeleton) => skeleton,
-        None => {
-            let names = joint_names(&clip_set);
-            let skeleton = infer_skeleton(source_of(&clip_set), names, &joints)?;
-            clip_set
-                .remarks
-                .push(format!("skeleton inferred: {}", tree_text(&skeleton)));
-            skeleton
-        }
-    };
-    let rest = rest_offsets(&skeleton, &joints);
-    let solved: Vec<(Vec<Vector>, Vec<f32>)> = joints
-        .par_iter()
-        .map(|frames| solve_clip(&skeleton, &rest, frames))
-        .collect();
-    let (bones, poses): (Vec<Vec<Vector>>, Vec<Vec<f32>>) = solved.into_iter().unzip();
-    skeleton.offsets = mean_offsets(&bones);
-    clip_set.skeleton = Some(skeleton.clone());
-    clip_set.layout = body_layout(&clip_set, GroupKind::Rotation6d, joint_names(&clip_set));
-    for (clip, poses) in clip_set.clips.iter_mut().zip(poses) {
-        clip.poses = poses;
-    }
-    let remark = rotation_remark(&clip_set, &skeleton, &bones, &joints);
-    clip_set.remarks.extend(remark);
-    Ok((clip_set, bones))
-}
-
-fn tree_text(skeleton: &Skeleton) -> String {
-    let bones = skeleton.bones();
-    let names = &skeleton.names;
-    bones
-        .map(|(parent, child)| format!("{}-{}", names[parent], names[child]))
-        .collect::<Vec<_>>()
-        .join(" ")
-}
-
-/// The skeleton's rest directions; where it has none, those of the first pose of the first clip. // (joint)
-fn rest_offsets(skeleton: &Skeleton, joints: &[Vec<Vec<Vector>>]) -> Vec<Vector> {
-    let mut rest: Vec<Vector> = skeleton
-        .offsets
-        .iter()
-        .map(|offset| offset.map(f64::from))
-        .collect();
-    if let Some(pose) = joints.iter().flatten().next() {
-        for (parent, child) in skeleton.bones() {
-            if length(rest[child]) == 0.0 {
-                rest[child] = subtract(pose[child], pose[parent]);
-            }
-        }
-    }
-    rest
-}
-
-/// Own bones of one clip, and its poses as root and rotations. // (joint), (frame, channel)
-fn solve_clip(
-    skeleton: &Skeleton,
-    rest: &[Vector],
-    frames: &[Vec<Vector>],
-) -> (Vec<Vector>, Vec<f32>) {
-    let bones = measure_offsets(skeleton, rest, frames);
-    let mut inverse = InverseKinematics::new(skeleton, &bones);
-    let mut poses = Vec::with_capacity(frames.len() * (3 + 6 * skeleton.joint_count()));
-    for positions in frames {
-        poses.extend(positions[0].map(|element| element as f32));
-        for local in inverse.solve(positions) {
-            poses.extend(local.to_6d().map(|element| element as f32));
-        }
-    }
-    (bones, poses)
-}
-
-fn mean_offsets(bones: &[Vec<Vector>]) -> Vec<[f32; 3]> {
-    let joint_count = bones.first().map_or(0, Vec::len);
-    (0..joint_count)
-        .map(|joint| {
-            let sum = bones
-                .iter()
-                .fold([0.0; 3], |sum, clip| add(sum, clip[joint]));
-            scale(sum, 1.0 / bones.len() as f64).map(|element| element as f32)
-        })
-        .collect()
-}
-
-/// Distances between joints and their reproductions.
-#[derive(Clone, Copy, Default)]
-struct Distance {
-    total: f64,
-    count: usize,
-    max: f64,
-}
-
-impl Distance {
-    fn of(distances: impl Iterator<Item = f64>) -> Self {
-        distances.fold(Self::default(), |sum, distance| {
-            sum.with(distance, distance, 1)
-        })
-    }
-
-    fn with(self, total: f64, max: f64, count: usize) -> Self {
-        Self {
-            total: self.total + total,
-            count: self.count + count,
-            max: self.max.max(max),
-        }
-    }
-
-    fn mean(&self) -> f64 {
-        self.total / self.count.max(1) as f64
-    }
-}
-
-/// What forward kinematics gives back of the original positions, on each clip's own bones and on the mean ones.
-fn rotation_remark(
-    clip_set: &ClipSet,
-    skeleton: &Skeleton,
-    bones: &[Vec<Vector>],
-    joints: &[Vec<Vec<Vector>>],
-) -> Option<String> {
-    let layout = &clip_set.layout;
-    let body = Body::new(layout, Some(skeleton))?;
-    let mean_bones: Vec<Vector> = skeleton.offsets.iter().map(|o| o.map(f64::from)).collect();
-    let distance_on = |own: Option<&[Vec<Vector>]>| -> Distance {
-        let of_clip = |index: usize| {
-            let offsets = own.map_or(&mean_bones, |own| &own[index]);
-            let poses = clip_set.clips[index]
-                .poses
-                .chunks_exact(layout.channel_count());
-            Distance::of(poses.zip(&joints[index]).flat_map(|(pose, original)| {
-                let found = body.joint_positions_on(offsets, pose).unwrap_or_default();
-                joint_distances(&found, original).collect::<Vec<f64>>()
-            }))
-        };
-        (0..joints.len())
-            .into_par_iter()
-            .map(of_clip)
-            .reduce(Distance::default, |a, b| a.with(b.total, b.max, b.count))
-    };
-    let constant = joints
-        .iter()
-        .filter(|frames| has_constant_bones(skeleton, frames))
-        .count();
-    let (own, mean) = (distance_on(Some(bones)), distance_on(None));
-    let unit = layout.groups.first()?.unit.suffix();
-    Some(format!(
-        "rotations by inverse kinematics: {constant} of {} clips have constant bone lengths; joints come back within \
-         {:.2e} {unit} mean, {:.2e} {unit} max on each clip's own bones, {:.2e} {unit} mean on the mean skeleton",
-        joints.len(),
-        own.mean(),
-        own.max,
-        mean.mean(),
-    ))
-}
-
-fn has_constant_bones(skeleton: &Skeleton, frames: &[Vec<Vector>]) -> bool {
-    skeleton.bones().all(|(parent, child)| {
-        let lengths = frames.iter().map(|p| length(subtract(p[child], p[parent])));
-        let range = lengths.fold((f64::INFINITY, 0.0_f64), |(min, max), length| {
-            (min.min(length), max.max(length))
-        });
-        range.1 - range.0 <= LENGTH_VARIATION_MAX * range.1
-    })
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::kinematics::joint_distances;
     use std::path::{Path, PathBuf};
 
     fn absolute_layout(joint_count: usize) -> PoseLayout {
@@ -459,6 +313,34 @@ mod tests {
         let second = to_joint_positions(&set.layout, &set.clips[0].poses[9..], None).unwrap();
         assert_eq!(second[0], [81.0, 99.0, 117.0]);
         assert_eq!(second[2], [225.0, 255.0, 285.0]);
+    }
+
+    #[test]
+    fn rotations_of_the_source_keep_their_twist() {
+        let groups = [
+            ("root", GroupKind::Translation),
+            ("hip", GroupKind::Rotation6d),
+        ];
+        let groups = groups.map(|(name, kind)| Group {
+            name: name.to_owned(),
+            kind,
+            unit: Unit::Metre,
+        });
+        let twist = [0.0, 0.0, 1.0, 0.0, 1.0, 0.0];
+        let pose = |x: f32| [[x, 2.0, 3.0].as_slice(), &twist].concat();
+        let mut set = clip_set(1, vec![clip("c", [pose(5.0), pose(7.0)].concat())]);
+        set.layout = PoseLayout {
+            groups: groups.to_vec(),
+        };
+        set.skeleton = Some(Skeleton {
+            names: vec!["hip".to_owned()],
+            parents: vec![None],
+            offsets: vec![[0.0; 3]],
+        });
+        let set = represent(set, Representation::Rotations, None).unwrap();
+        assert_eq!(set.clips[0].poses[..3], [0.0; 3]);
+        assert_eq!(set.clips[0].poses[9..12], [2.0, 0.0, 0.0]);
+        assert_eq!(set.clips[0].poses[12..], twist);
     }
 
     #[test]

@@ -4,8 +4,8 @@
 //! Out: [`Rotation`] to `kinematics`, `represent` and the error figures.
 //!
 //! Why here: every convention (rows, sign, order of composition) is decided once, in this file.
-//! Source: Zhou et al., CVPR 2019, for 6D and its Gram-Schmidt inverse. Difference: the six numbers are the
-//! first two *rows* of the matrix, row-major, as in pytorch3d; the paper takes columns.
+//! Source: Zhou et al., CVPR 2019, for 6D and its Gram-Schmidt inverse. Difference: the six numbers
+//! are the first two *rows* of the matrix, row-major, as in pytorch3d; the paper takes columns.
 
 /// A vector of three-dimensional space.
 pub type Vector = [f64; 3];
@@ -31,8 +31,8 @@ impl Rotation {
 
     /// Orthonormalises six numbers, the first two rows, by Gram-Schmidt.
     ///
-    /// Total: rows without a direction are replaced by an arbitrary but fixed choice, so that a badly trained decoder
-    /// still gives a rotation.
+    /// Total: rows without a direction are replaced by an arbitrary but fixed choice, so that a
+    /// badly trained decoder still gives a rotation.
     pub fn from_6d(six: &[f64; 6]) -> Self {
         let first = unit([six[0], six[1], six[2]]).unwrap_or([1.0, 0.0, 0.0]);
         let second = [six[3], six[4], six[5]];
@@ -85,7 +85,8 @@ impl Rotation {
     /// Accurate for every angle: it divides by the largest of the four elements (Shepperd, 1978).
     pub fn quaternion(&self) -> Quaternion {
         let [[a, b, c], [d, e, f], [g, h, i]] = self.rows;
-        // Each row is 4·element·(w, x, y, z) for one element; the longest row is the best conditioned.
+        // Each row is 4·element·(w, x, y, z) for one element; the longest row is the best
+        // conditioned.
         let candidates = [
             [1.0 + a + e + i, h - f, c - g, d - b],
             [h - f, 1.0 + a - e - i, b + d, c + g],
@@ -118,7 +119,8 @@ impl Rotation {
         Self::from_quaternion([(angle_rad / 2.0).cos(), x, y, z])
     }
 
-    /// Axis times angle in radians, angle in 0..=π (logarithm); the inverse of [`Self::from_rotation_vector`].
+    /// Axis times angle in radians, angle in 0..=π (logarithm); the inverse of
+    /// [`Self::from_rotation_vector`].
     pub fn rotation_vector(&self) -> Vector {
         let [w, x, y, z] = self.quaternion();
         let sine = length([x, y, z]);
@@ -130,14 +132,17 @@ impl Rotation {
         scale([x, y, z], factor)
     }
 
-    /// The smallest turn that takes the direction of `from` to the direction of `to`: a swing without twist.
+    /// The smallest turn that takes the direction of `from` to the direction of `to`: a swing
+    /// without twist.
     ///
-    /// `None` where it is not determined: a zero vector, or opposite directions (a half turn about any perpendicular).
+    /// `None` where it is not determined: a zero vector, or opposite directions (a half turn about
+    /// any perpendicular).
     pub fn between(from: Vector, to: Vector) -> Option<Self> {
         let (from, to) = (unit(from)?, unit(to)?);
         let [x, y, z] = cross(from, to);
         let w = 1.0 + dot(from, to);
-        // The quaternion (1 + cos, sin·axis) has length 2·cos(angle/2), which vanishes at a half turn.
+        // The quaternion (1 + cos, sin·axis) has length 2·cos(angle/2), which vanishes at a half
+        // turn.
         (w > LENGTH_MIN).then(|| Self::from_quaternion([w, x, y, z]))
     }
 

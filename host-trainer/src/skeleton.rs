@@ -1,10 +1,12 @@
-//! The joint tree of a body: names, parents and rest offsets as parallel arrays; parents precede children.
+//! The joint tree of a body: names, parents and rest offsets as parallel arrays; parents precede
+//! children.
 //!
 //! In:  BVH hierarchies, the built-in trees, or a user's TOML.
 //! Out: kinematics, pictures, and the blob.
 //!
-//! Source: joint order of `smpl24` from Loper et al., SIGGRAPH Asia 2015; kinematic chains of both built-in trees from
-//! the read-me files of HumanAct12 and Action2Motion. The rest offsets are our own round numbers.
+//! Source: joint order of `smpl24` from Loper et al., SIGGRAPH Asia 2015; kinematic chains of both
+//! built-in trees from the read-me files of HumanAct12 and Action2Motion. The rest offsets are our
+//! own round numbers.
 
 use std::path::Path;
 
@@ -19,13 +21,15 @@ pub struct Skeleton {
     pub names: Vec<String>,
     /// Index of the parent, smaller than the joint's own; `None` for the root alone. // (joint)
     pub parents: Vec<Option<usize>>,
-    /// Offset from the parent at rest, in the unit of the layout's translation; zeros when only the tree is known. // (joint, xyz)
+    /// Offset from the parent at rest, in the unit of the layout's translation; zeros when only the
+    /// tree is known. // (joint, xyz)
     pub offsets: Vec<[f32; 3]>,
 }
 
 /// The 24 joints of the SMPL body: name, parent, rest offset in metres.
 ///
-/// Rest pose: arms out sideways, y up, x to the body's left, z forward; an adult of 1.7 m, rounded to the centimetre.
+/// Rest pose: arms out sideways, y up, x to the body's left, z forward; an adult of 1.7 m, rounded
+/// to the centimetre.
 #[rustfmt::skip]
 const SMPL24: [(&str, usize, [f32; 3]); 24] = [
     ("pelvis",          0, [ 0.00,  0.00,  0.00]),
@@ -54,7 +58,8 @@ const SMPL24: [(&str, usize, [f32; 3]); 24] = [
     ("right_hand",     21, [-0.09,  0.00,  0.00]),
 ];
 
-/// The 20 joints of the CMU clips of Action2Motion; same rest pose, in the unit that is left after dividing by 20.
+/// The 20 joints of the CMU clips of Action2Motion; same rest pose, in the unit that is left after
+/// dividing by 20.
 #[rustfmt::skip]
 const CMU20: [(&str, usize, [f32; 3]); 20] = [
     ("hips",            0, [ 0.00,  0.00,  0.00]),
@@ -181,7 +186,8 @@ impl Skeleton {
         Ok(skeleton)
     }
 
-    /// Checks that this is a tree: one root, at index 0; parents precede children; names are unique.
+    /// Checks that this is a tree: one root, at index 0; parents precede children; names are
+    /// unique.
     ///
     /// # Errors
     /// Names the first joint that breaks a rule; `source` is the file to blame.
@@ -335,7 +341,8 @@ mod tests {
     #[test]
     fn toml_tree_is_read() {
         let mut file = tempfile::NamedTempFile::new().unwrap();
-        let text = "[[joint]]\nname = 'base'\n[[joint]]\nname = 'jaw'\nparent = 'base'\noffset = [0.0, 1.0, 2.5]";
+        let text = "[[joint]]\nname = 'base'\n\
+                    [[joint]]\nname = 'jaw'\nparent = 'base'\noffset = [0.0, 1.0, 2.5]";
         file.write_all(text.as_bytes()).unwrap();
         let skeleton = Skeleton::by_name_or_file(file.path().to_str().unwrap()).unwrap();
         assert_eq!(skeleton.names, ["base", "jaw"]);

@@ -1,12 +1,15 @@
-//! Contact sheet of bodies: one row a motion, figures over time seen from the front, its path seen from above.
+//! Contact sheet of bodies: one row a motion, figures over time seen from the front, its path seen
+//! from above.
 //!
 //! In:  joint positions of motions (from `picture`).
 //! Out: SVG; all figures at one scale, every motion on its own floor line.
 
 use crate::export::Motion;
-use crate::rotation::Vector;
+use crate::layout::Unit;
+use crate::rotation::{Vector, dot};
 use crate::skeleton::Skeleton;
 use crate::svg::{Anchor, FAINT, INK, MUTED, Point, Svg, TextStyle};
+use crate::view::{Frames, View};
 
 const MARGIN: f64 = 28.0;
 const HEADER_HEIGHT: f64 = 74.0;
@@ -21,9 +24,6 @@ const PATH_WIDTH: f64 = 130.0;
 const HEAD_RADIUS: f64 = 0.045;
 const LEFT_COLOR: &str = "#2f6fbb";
 const RIGHT_COLOR: &str = "#d1603d";
-
-/// Poses of one motion. // (frame, joint)
-type Frames = Vec<Vec<Vector>>;
 
 /// Draws all motions; `joints` are their positions. // (motion, frame, joint)
 pub fn draw(motions: &[Motion], joints: &[Frames], title: &str) -> String {
@@ -44,110 +44,9 @@ pub fn draw(motions: &[Motion], joints: &[Frames], title: &str) -> String {
             width - MARGIN - PATH_WIDTH / 2.0,
             floor_y - size.height_px / 2.0,
         );
-        draw_path(&mut svg, frames, &view, motion, middle, size.height_px);
+        draw_path(&mut svg, motion, frames, &view, &size, middle);
     }
     svg.finish()
-}
-
-/// Which axes of the clips point where; found once for a sheet.
-#[derive(Clone, Copy)]
-struct View {
-    /// Unit vector to the right of the picture.
-    right: Vector,
-    /// Unit vector against gravity.
-    up: Vector,
-    /// Unit vector to the viewer.
-    viewer: Vector,
-}
-
-impl View {
-    /// Up is from feet to head where joints have such names, else away from the steadier end of the body: the floor.
-    fn of(skeleton: Option<&Skeleton>, joints: &[Frames]) -> Self {
-        let named = skeleton.and_then(|skeleton| feet_to_head(skeleton, joints));
-        let up = named.unwrap_or_else(|| from_the_floor(joints));
-        let right = [1.0, 0.0, 0.0];
-        Self {
-            right,
-            up,
-            viewer: crate::rotation::cross(right, up),
-        }
-    }
-
-    fn flat(&self, position: Vector) -> Point {
-        (dot(position, self.right), dot(position, self.up))
-    }
-}
-
-fn dot(a: Vector, b: Vector) -> f64 {
-    crate::rotation::dot(a, b)
-}
-
-/// The axis, y or z, that most points from the feet to the head on average.
-fn feet_to_head(skeleton: &Skeleton, joints: &[Frames]) -> Option<Vector> {
-    let named = |words: &[&str]| -> Vec<usize> {
-        let names = skeleton
-            .names
-            .iter()
-            .map(|name| name.to_lowercase())
-            .enumerate();
-        names
-            .filter(|(_, name)| words.iter().any(|word| name.contains(word)))
-            .map(|(joint, _)| joint)
-            .collect()
-    };
-    let (heads, feet) = (named(&["head"]), named(&["foot", "ankle", "toe"]));
-    if heads.is_empty() || feet.is_empty() {
-        return None;
-    }
-    let mean = |set: &[usize], axis: usize| -> f64 {
-        let values = joints
-            .iter()
-            .flatten()
-            .flat_map(|p| set.iter().map(move |j| p[*j][axis]));
-        values.clone().sum::<f64>() / values.count().max(1) as f64
-    };
-    let rise = |axis: usize| mean(&heads, axis) - mean(&feet, axis);
-    let axis = if rise(1).abs() >= rise(2).abs() { 1 } else { 2 };
-    Some(axis_vector(axis, rise(axis)))
-}
-
-/// The longer of the axes y and z, away from the end whose coordinate varies less over time.
-fn from_the_floor(joints: &[Frames]) -> Vector {
-    let extremes = |axis: usize| -> Vec<Point> {
-        let of_pose = |pose: &Vec<Vector>| {
-            pose.iter()
-                .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), p| {
-                    (low.min(p[axis]), high.max(p[axis]))
-                })
-        };
-        joints.iter().flatten().map(of_pose).collect()
-    };
-    let length = |axis: usize| {
-        extremes(axis)
-            .iter()
-            .map(|(low, high)| high - low)
-            .sum::<f64>()
-    };
-    let axis = if length(1) >= length(2) { 1 } else { 2 };
-    let spread = |values: Vec<f64>| {
-        let mean = values.iter().sum::<f64>() / values.len().max(1) as f64;
-        values
-            .iter()
-            .map(|value| (value - mean).powi(2))
-            .sum::<f64>()
-    };
-    let (low, high): (Vec<f64>, Vec<f64>) = extremes(axis).into_iter().unzip();
-    axis_vector(axis, spread(high) - spread(low))
-}
-
-fn axis_vector(axis: usize, sign: f64) -> Vector {
-    std::array::from_fn(|k| {
-        if k == axis {
-            if sign < 0.0 { -1.0 } else { 1.0 }
-        } else {
-            0.0
-        }
-    })
 }
 
 /// One scale for the whole sheet.
@@ -157,7 +56,8 @@ struct Size {
 }
 
 impl Size {
-    /// So that the tallest rise above a motion's floor fits a row, and the widest pose a cell and a bit.
+    /// So that the tallest rise above a motion's floor fits a row, and the widest pose a cell and a
+    /// bit.
     fn of(view: &View, joints: &[Frames]) -> Self {
         let tallest = joints.iter().map(|frames| {
             let heights = frames.iter().flatten().map(|p| dot(*p, view.up));
@@ -196,7 +96,7 @@ fn draw_header(svg: &mut Svg, motions: &[Motion], title: &str, width: f64) {
         &TextStyle::plain(Anchor::Start),
         provenance,
     );
-    let y = MARGIN + 28.0;
+    let y = MARGIN + 10.0;
     let right = width - MARGIN;
     svg.text(
         (right - PATH_WIDTH / 2.0, y),
@@ -222,7 +122,7 @@ fn draw_header(svg: &mut Svg, motions: &[Motion], title: &str, width: f64) {
 
 fn draw_label(svg: &mut Svg, motion: &Motion, y: f64) {
     svg.text((MARGIN, y - 4.0), &TextStyle::heading(14.0), &motion.action);
-    let text = format!("{} s, seed {}", motion.seconds, motion.seed);
+    let text = format!("{:.1} s, seed {}", motion.seconds, motion.seed);
     svg.text((MARGIN, y + 13.0), &TextStyle::plain(Anchor::Start), &text);
 }
 
@@ -261,7 +161,8 @@ fn draw_figures(
     }
 }
 
-/// Bones from the farthest to the nearest, so that near limbs cover far ones; joints as dots where no tree is known.
+/// Bones from the farthest to the nearest, so that near limbs cover far ones; joints as dots where
+/// no tree is known.
 fn draw_figure(
     svg: &mut Svg,
     skeleton: Option<&Skeleton>,
@@ -306,14 +207,15 @@ fn limb_color(name: &str) -> &'static str {
     }
 }
 
-/// The root's way over the floor, from the hollow to the full dot, shrunk to fit, with its length.
+/// The root's way over the floor, from the hollow to the full dot, with its length; at the figures'
+/// scale or smaller.
 fn draw_path(
     svg: &mut Svg,
+    motion: &Motion,
     frames: &Frames,
     view: &View,
-    motion: &Motion,
+    size: &Size,
     (x, y): Point,
-    height: f64,
 ) {
     let across = |pose: &Vec<Vector>| (dot(pose[0], view.right), dot(pose[0], view.viewer));
     let way: Vec<Point> = frames.iter().map(across).collect();
@@ -326,8 +228,8 @@ fn draw_path(
     };
     let ((x_min, x_max), (y_min, y_max)) = (range(&|point| point.0), range(&|point| point.1));
     let extent = (x_max - x_min).max(y_max - y_min).max(1e-9);
-    let room = (PATH_WIDTH - 30.0).min(height - 20.0);
-    let factor = room / extent;
+    let room = (PATH_WIDTH - 30.0).min(size.height_px - 20.0);
+    let factor = size.px_per_unit.min(room / extent);
     let points: Vec<Point> = way
         .iter()
         .map(|(across, near)| {
@@ -340,21 +242,20 @@ fn draw_path(
         .collect();
     svg.line(&points, MUTED, 1.2);
     if let (Some(start), Some(end)) = (points.first(), points.last()) {
-        svg.circle(*start, 3.0, "white", INK);
-        svg.circle(*end, 3.0, INK, INK);
+        svg.circle(*start, 2.2, "white", INK);
+        svg.circle(*end, 2.2, INK, INK);
     }
     let length: f64 = way
         .windows(2)
         .map(|pair| (pair[1].0 - pair[0].0).hypot(pair[1].1 - pair[0].1))
         .sum();
-    let unit = motion
-        .layout
-        .groups
-        .first()
-        .map_or("", |group| group.unit.suffix());
+    let unit = match motion.layout.groups.first().map(|group| group.unit) {
+        None | Some(Unit::One) => "",
+        Some(unit) => unit.suffix(),
+    };
     let text = format!("{length:.2} {unit} long");
     svg.text(
-        (x, y + height / 2.0 + 16.0),
+        (x, y + size.height_px / 2.0 + 16.0),
         &TextStyle::plain(Anchor::Middle),
         &text,
     );

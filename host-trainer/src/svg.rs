@@ -1,7 +1,7 @@
 //! The few marks that our pictures are made of, as SVG text.
 //!
-//! Why not plotters: its SVG backend rounds every point to a whole pixel, which bends the thin limbs of small figures,
-//! and it has no round line ends.
+//! Why not plotters: its SVG backend rounds every point to a whole pixel, which bends the thin
+//! limbs of small figures, and it has no round line ends.
 
 use std::fmt::Write;
 
@@ -11,7 +11,8 @@ pub const INK: &str = "#1f2933";
 pub const MUTED: &str = "#6b7785";
 /// Grid and floor lines.
 pub const FAINT: &str = "#dde2e8";
-/// One colour a variation, told apart by colour-blind people too (Okabe and Ito, 2008, less its yellow and black).
+/// One colour a variation, told apart by colour-blind people too (Okabe and Ito, 2008, less its
+/// yellow and black).
 pub const PALETTE: [&str; 6] = [
     "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00",
 ];
@@ -98,7 +99,8 @@ impl Svg {
     /// A filled circle with a rim of `rim_color`.
     pub fn circle(&mut self, (x, y): Point, radius: f64, color: &str, rim_color: &str) {
         self.mark(&format!(
-            r#"<circle cx="{x:.2}" cy="{y:.2}" r="{radius:.2}" fill="{color}" stroke="{rim_color}" stroke-width="1.6"/>"#
+            r#"<circle cx="{x:.2}" cy="{y:.2}" r="{radius:.2}" fill="{color}" stroke="{rim_color}"
+ stroke-width="1.6"/>"#
         ));
     }
 
@@ -116,7 +118,8 @@ impl Svg {
             ..
         } = style;
         self.mark(&format!(
-            r#"<text x="{x:.1}" y="{y:.1}" text-anchor="{anchor}" font-size="{size}" font-weight="{weight}" fill="{color}" stroke="none">{}</text>"#,
+            r#"<text x="{x:.1}" y="{y:.1}" text-anchor="{anchor}" font-size="{size}"
+ font-weight="{weight}" fill="{color}" stroke="none">{}</text>"#,
             escape(text)
         ));
     }
@@ -137,9 +140,11 @@ impl Svg {
         // Writing to a String cannot fail.
         let _ = write!(
             file,
-            r#"<svg xmlns="http://www.w3.org/2000/svg" width="{width:.0}" height="{height:.0}" viewBox="0 0 {width:.0} {height:.0}">
+            r#"<svg xmlns="http://www.w3.org/2000/svg" width="{width:.0}" height="{height:.0}"
+ viewBox="0 0 {width:.0} {height:.0}">
 <rect width="100%" height="100%" fill="white"/>
-<g font-family="Inter, 'Helvetica Neue', Arial, 'DejaVu Sans', sans-serif" fill="none" stroke-linecap="round" stroke-linejoin="round">
+<g font-family="Inter, 'Helvetica Neue', Arial, 'DejaVu Sans', sans-serif" fill="none"
+ stroke-linecap="round" stroke-linejoin="round">
 {marks}</g>
 </svg>
 "#
@@ -155,7 +160,8 @@ fn escape(text: &str) -> String {
         .replace('"', "&quot;")
 }
 
-/// Round numbers inside `min..=max`, about `count` of them, and their decimals: steps of 1, 2 or 5 times a power of ten.
+/// Round numbers inside `min..=max`, about `count` of them, and their decimals: steps of 1, 2 or 5
+/// times a power of ten.
 pub fn ticks(min: f64, max: f64, count: usize) -> (Vec<f64>, usize) {
     let rough = (max - min) / count.max(1) as f64;
     if !(rough.is_finite() && rough > 0.0) {
