@@ -6,6 +6,11 @@ pub mod error;
 pub mod layout;
 pub mod skeleton;
 pub mod clip;
+pub mod character;
 pub mod dataset;
 pub mod float_model;
 pub mod checkpoint;
+pub mod commands {
+    //! One module a verb of the program.
+    pub mod character;
+}
