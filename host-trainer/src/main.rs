@@ -3,7 +3,7 @@
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
-use host_trainer::commands::{bench, character, demo, generate, inspect, quantize, reconstruct, train};
+use host_trainer::commands::{bench, character, demo, generate, inspect, inspect_clips, quantize, reconstruct, train};
 use host_trainer::error::Result;
 
 /// Learns motion from clips and puts it into a blob for a microcontroller.
@@ -23,7 +23,7 @@ enum Verb {
     /// Write the built-in character's clips
     Character(character::CharacterArgs),
     /// Explain clips or a blob
-    Inspect(inspect::InspectArgs),
+    Inspect(inspect_clips::InspectClipsArgs),
     /// Train a decoder and codes
     Train(train::TrainArgs),
     /// Measure how well a run and its blobs give the training clips back

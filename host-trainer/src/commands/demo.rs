@@ -11,7 +11,7 @@ use karakuri::manifest::SamplerKind;
 use crate::atomic_file;
 use crate::character;
 use crate::checkpoint::Checkpoint;
-use crate::commands::character::write_clips;
+use crate::commands::character::write_folder;
 use crate::commands::quantize::quantize_checkpoint;
 use crate::config::TrainConfig;
 use crate::dataset::{self, Dataset, DatasetOptions};
@@ -62,7 +62,7 @@ pub fn run(args: &DemoArgs) -> Result<()> {
     eprintln!("1/6  clips of the built-in character");
     let clip_set = character::clip_set(args.seed, args.clips_per_action);
     let clips = args.out.join("clips");
-    write_clips(&clip_set, &clips, args.seed)?;
+    write_folder(&clips, &clip_set, args.seed)?;
     let mut config = TrainConfig::preset(&args.preset)?;
     config.seed = args.seed;
     config.budget.steps = args.steps;
@@ -80,9 +80,10 @@ pub fn run(args: &DemoArgs) -> Result<()> {
     eprintln!("4/6  quantising");
     let mut products = Vec::new();
     for format in NumberFormat::ALL {
-        let path = args.out.join(format!("creature-{}-{}.kara", args.preset, format.name()));
+        let name = character::NAME.to_lowercase();
+        let path = args.out.join(format!("{name}-{}-{}.kara", args.preset, format.name()));
         let quantized =
-            quantize_checkpoint("the built-in creature", &checkpoint, &mixtures, format, SamplerKind::ClipCodes)?;
+            quantize_checkpoint(character::NAME, &checkpoint, &mixtures, format, SamplerKind::ClipCodes)?;
         atomic_file::replace(&path, |file| std::io::Write::write_all(file, &quantized.blob))?;
         let model = load(&path, &quantized.blob)?;
         let error = scalar_error(&checkpoint, Source::Blob(&model), &dataset);

@@ -92,7 +92,7 @@ impl ImportArgs {
 /// Reports what clip files hold.
 #[derive(Clone, Debug, clap::Args)]
 pub struct InspectClipsArgs {
-    /// Clip file, or folder of clip files
+    /// Clip file, folder of clip files, or blob (`.kara`)
     pub path: PathBuf,
     /// Print JSON instead of tables
     #[arg(long)]
