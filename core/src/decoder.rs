@@ -139,3 +139,79 @@ fn decode<A: Arithmetic>(
 fn inputs_of<'b, Value>(layer: &Layer<'_>, buffer: &'b [Value]) -> &'b [Value] {
     buffer.get(..layer.input_count()).unwrap_or_default()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::manifest::SamplerKind;
+    use crate::random::Pcg32;
+    use crate::specimen::specimen;
+    use crate::{ActionId, NumberFormat};
+
+    fn first_pose(format: NumberFormat, position: FramePosition) -> Pose {
+        let blob = specimen(format, SamplerKind::ClipCodes);
+        let model = Model::from_bytes(&blob).unwrap();
+        let mut workspace = Workspace::<8>::new();
+        let mut decoder = Decoder::new(&model, &mut workspace).unwrap();
+        let mut random = Pcg32::new(5);
+        decoder.start(
+            &model
+                .sample(ActionId(1), 44, &mut || random.next_u32())
+                .unwrap(),
+        );
+        let mut pose = Pose::new();
+        decoder.decode(position, &mut pose);
+        pose
+    }
+
+    #[test]
+    fn workspace_that_is_too_narrow_is_rejected() {
+        let blob = specimen(NumberFormat::W8A8, SamplerKind::ClipCodes);
+        let model = Model::from_bytes(&blob).unwrap();
+        let error = Decoder::new(&model, &mut Workspace::<7>::new()).unwrap_err();
+        assert_eq!(
+            error,
+            BlobError::WorkspaceTooSmall {
+                width: 7,
+                needed: 8
+            }
+        );
+    }
+
+    #[test]
+    fn integer_poses_never_change() {
+        let w8a16 = first_pose(NumberFormat::W8A16, FramePosition::from_bits(98_765));
+        let w8a8 = first_pose(NumberFormat::W8A8, FramePosition::from_bits(98_765));
+        assert_eq!(w8a16.channels(), W8A16_POSE);
+        assert_eq!(w8a8.channels(), W8A8_POSE);
+    }
+
+    // Printed by the test above when the format was first made; a change here is a change of every device's motion.
+    const W8A16_POSE: [i32; 4] = [-7170, -13531, -26812, -1079];
+    const W8A8_POSE: [i32; 4] = [9217, -7765, -354, -1740];
+
+    #[test]
+    fn pose_depends_on_time_and_has_every_channel() {
+        for format in NumberFormat::ALL {
+            #[cfg(not(feature = "f16"))]
+            if format == NumberFormat::F16 {
+                continue;
+            }
+            let (early, late) = (
+                first_pose(format, FramePosition::default()),
+                first_pose(format, FramePosition::from_frames(9)),
+            );
+            assert_eq!(early.channels().len(), 4);
+            assert_ne!(early, late, "{}", format.name());
+        }
+    }
+
+    #[cfg(not(feature = "f16"))]
+    #[test]
+    fn f16_model_is_rejected_by_name_without_the_feature() {
+        let blob = specimen(NumberFormat::F16, SamplerKind::ClipCodes);
+        let model = Model::from_bytes(&blob).unwrap();
+        let error = Decoder::new(&model, &mut Workspace::<8>::new()).unwrap_err();
+        assert_eq!(error, BlobError::FormatNotBuilt(NumberFormat::F16));
+    }
+}

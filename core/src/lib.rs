@@ -40,6 +40,8 @@ mod decoder;
 mod pose;
 #[cfg(feature = "angles")]
 pub mod angles;
+#[cfg(test)]
+mod specimen;
 
 pub use code::Code;
 pub use decoder::Decoder;

@@ -69,7 +69,7 @@ pub enum Packing {
 /// How the codes of a motion are drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum SamplerKind {
-    /// A training clip's own code, moved towards a neighbour's, plus noise of one σ per interval.
+    /// A training clip's own code, moved towards a neighbour's, plus noise of one shared σ.
     ClipCodes,
     /// A Gaussian mixture with diagonal covariances.
     DiagonalMixture,
@@ -190,11 +190,12 @@ pub enum TensorKind {
     ComponentSteps,
     /// u8, in units of the deviation steps; `DiagonalMixture` only. // (component, sequence code)
     Deviations,
-    /// i32: code units · 2^8 per 1 of a deviation; `DiagonalMixture` only. // (sequence code)
+    /// i32: code units · 2^8. `ClipCodes`: σ of the noise; `DiagonalMixture`: per 1 of a deviation. // (sequence code)
     DeviationSteps,
     /// Pairs of u16: component, cumulative weight (65,535 at an interval's last member). // (member, 2)
     Members,
-    /// action u16, frames min u16, frames max u16, σ u16 (code units), first member u32, members u32. // (interval)
+    /// action u16, frames min u16, frames max u16, spread u16 (Q4.12: factor on the noise of `ClipCodes`),
+    /// first member u32, members u32. // (interval)
     Intervals,
     /// i8 or binary16. // (out, in)
     Weights(usize),
@@ -247,7 +248,7 @@ pub fn tensor_plan(manifest: &Manifest<'_>) -> impl Iterator<Item = (TensorKind,
         (TensorKind::Components, component_numbers),
         (TensorKind::ComponentSteps, 4 * code_count),
         (TensorKind::Deviations, diagonal * component_numbers),
-        (TensorKind::DeviationSteps, diagonal * 4 * code_count),
+        (TensorKind::DeviationSteps, 4 * code_count),
         (
             TensorKind::Members,
             MEMBER_BYTES as u64 * u64::from(sampler.member_count),

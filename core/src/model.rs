@@ -416,3 +416,145 @@ impl<'a, Item: serde::Deserialize<'a>> Iterator for Names<'a, Item> {
         Some(item)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::string::ToString;
+    use std::vec::Vec;
+
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::blob::{HEADER_BYTES, VERSION};
+    use crate::specimen::specimen;
+
+    fn w8a16() -> Vec<u8> {
+        specimen(NumberFormat::W8A16, SamplerKind::ClipCodes)
+    }
+
+    #[test]
+    fn blob_cut_at_every_length_is_rejected() {
+        let blob = w8a16();
+        for length in 0..blob.len() {
+            assert!(
+                Model::from_bytes(&blob[..length]).is_err(),
+                "{length} bytes were accepted"
+            );
+        }
+    }
+
+    #[test]
+    fn blob_with_any_single_byte_changed_is_rejected() {
+        for format in NumberFormat::ALL {
+            let mut blob = specimen(format, SamplerKind::DiagonalMixture);
+            for index in 0..blob.len() {
+                for flip in [1u8, 0x80, 0xFF] {
+                    blob[index] ^= flip;
+                    assert!(Model::from_bytes(&blob).is_err(), "byte {index} ^ {flip}");
+                    blob[index] ^= flip;
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn blob_with_trailing_bytes_is_rejected() {
+        let mut blob = w8a16();
+        blob.push(0);
+        assert!(matches!(
+            Model::from_bytes(&blob),
+            Err(BlobError::WrongLength { .. })
+        ));
+    }
+
+    #[test]
+    fn blob_of_a_newer_version_is_named() {
+        let mut blob = w8a16();
+        blob[4..6].copy_from_slice(&(VERSION + 1).to_le_bytes());
+        let error = Model::from_bytes(&blob).unwrap_err();
+        assert_eq!(
+            error,
+            BlobError::NewerVersion {
+                found: VERSION + 1,
+                newest: VERSION
+            }
+        );
+        assert!(error.to_string().contains("newer"));
+    }
+
+    #[test]
+    fn blob_loads_at_every_alignment() {
+        let blob = w8a16();
+        for offset in 0..16 {
+            let mut shifted = std::vec![0; offset];
+            shifted.extend(&blob);
+            assert!(
+                Model::from_bytes(&shifted[offset..]).is_ok(),
+                "offset {offset}"
+            );
+        }
+    }
+
+    #[test]
+    fn blob_describes_itself() {
+        let blob = w8a16();
+        let model = Model::from_bytes(&blob).unwrap();
+        assert_eq!(model.actions().collect::<Vec<_>>(), ["nod", "walk"]);
+        assert_eq!(
+            model.groups().map(|group| group.name).collect::<Vec<_>>(),
+            ["root", "jaw"]
+        );
+        assert_eq!(
+            model.joints().map(|joint| joint.parent).collect::<Vec<_>>(),
+            [None, Some(0)]
+        );
+        assert_eq!(model.action_by_name("walk"), Some(ActionId(1)));
+        assert_eq!(model.action_by_name("fly"), None);
+        assert_eq!(model.trained_frames(ActionId(0)), 10..=30);
+        assert_eq!(
+            (
+                model.channel_count(),
+                model.code_count(),
+                model.workspace_width()
+            ),
+            (4, 5, 8)
+        );
+        assert_eq!(model.multiply_accumulates_per_motion(), 30);
+        assert_eq!(model.multiply_accumulates_per_pose(), 48 + 42 + 28);
+    }
+
+    #[test]
+    fn code_survives_the_way_through_floats() {
+        let blob = w8a16();
+        let model = Model::from_bytes(&blob).unwrap();
+        let code = model.sample(ActionId(1), 45, &mut || 0x1234_5678).unwrap();
+        let floats: Vec<f32> = model.code_to_f32(&code).collect();
+        assert_eq!(model.code_from_f32(&floats), code);
+    }
+
+    proptest! {
+        #[test]
+        fn arbitrary_bytes_never_panic(bytes in prop::collection::vec(any::<u8>(), 0..600)) {
+            let _ = Model::from_bytes(&bytes);
+        }
+
+        /// Past the checksum every field is still checked: damage the inside and seal it again.
+        #[test]
+        fn sealed_damage_never_panics(index in HEADER_BYTES..400usize, value: u8, seed: u32) {
+            let mut blob = w8a16();
+            let index = index % blob.len();
+            blob[index] = value;
+            crate::blob::seal_again(&mut blob);
+            if let Ok(model) = Model::from_bytes(&blob) {
+                for action in 0..3 {
+                    let _ = model.sample(ActionId(action), *model.trained_frames(ActionId(action)).start(), &mut || seed);
+                }
+                let mut workspace = crate::Workspace::<64>::new();
+                if let Ok(mut decoder) = crate::Decoder::new(&model, &mut workspace) {
+                    decoder.start(&crate::Code::default());
+                    decoder.decode(crate::FramePosition::from_bits(seed), &mut crate::Pose::new());
+                }
+            }
+        }
+    }
+}

@@ -1,7 +1,7 @@
 //! Station 8: (action, length, random numbers) → code, from tables in flash.
 //!
 //! Two kinds of table share one shape. `ClipCodes`: a component is a training clip's own code; a draw takes one clip of
-//! the interval, moves a random share of the way towards another, and adds noise of the interval's σ.
+//! the interval, moves a random share of the way towards another, and adds noise of one σ per number, shared by all clips.
 //! `DiagonalMixture`: a component is a Gaussian with its own σ per number.
 //!
 //! Why here: full covariances do not fit a microcontroller, and clip codes at one byte a number scored better than
@@ -40,8 +40,8 @@ struct Interval {
     action: u16,
     frames_min: u16,
     frames_max: u16,
-    /// Standard deviation of the noise, code units.
-    sigma: u16,
+    /// Factor on the shared noise, Q4.12.
+    spread: u16,
     member_first: u32,
     member_count: u32,
 }
@@ -50,14 +50,14 @@ impl Interval {
     fn parse(record: &[u8]) -> Option<Self> {
         let mut halves = u16s(record.get(..8)?);
         let (action, frames_min) = (halves.next()?, halves.next()?);
-        let (frames_max, sigma) = (halves.next()?, halves.next()?);
+        let (frames_max, spread) = (halves.next()?, halves.next()?);
         let mut words = i32s(record.get(8..)?).map(i32::cast_unsigned);
         let (member_first, member_count) = (words.next()?, words.next()?);
         Some(Self {
             action,
             frames_min,
             frames_max,
-            sigma,
+            spread,
             member_first,
             member_count,
         })
@@ -188,11 +188,16 @@ impl<'a> Sampler<'a> {
         let fraction = (i64::from(random()) * i64::from(self.step_max_q16)) >> 32;
         let from = self.mean(self.component_of(interval, chosen));
         let to = self.mean(self.component_of(interval, neighbour));
-        let mut noisy = |value| add_noise(value, i32::from(interval.sigma) << 8, random);
+        let spread = i64::from(interval.spread);
+        let sigmas =
+            i32s(self.deviation_steps).map(|step| ((i64::from(step) * spread) >> 12) as i32);
+        let means = from
+            .zip(to)
+            .map(|(from, to)| interpolate(from, to, fraction));
         Code {
-            values: from
-                .zip(to)
-                .map(|(from, to)| noisy(interpolate(from, to, fraction)))
+            values: means
+                .zip(sigmas)
+                .map(|(mean, sigma)| add_noise(mean, sigma, random))
                 .collect(),
         }
     }
@@ -283,4 +288,93 @@ fn add_noise(value: i16, sigma_q8: i32, random: &mut impl FnMut() -> u32) -> i16
 
 fn saturate(value: i32) -> i16 {
     value.clamp(i32::from(i16::MIN), i32::from(i16::MAX)) as i16
+}
+
+#[cfg(test)]
+mod tests {
+    use std::vec::Vec;
+
+    use crate::manifest::{NumberFormat, SamplerKind};
+    use crate::specimen::specimen;
+    use crate::{ActionId, Model, Pcg32, SampleError};
+
+    #[test]
+    fn unknown_action_is_rejected() {
+        let blob = specimen(NumberFormat::W8A16, SamplerKind::ClipCodes);
+        let model = Model::from_bytes(&blob).unwrap();
+        let error = model.sample(ActionId(2), 10, &mut || 0).unwrap_err();
+        assert_eq!(
+            error,
+            SampleError::UnknownAction {
+                action: 2,
+                count: 2
+            }
+        );
+    }
+
+    #[test]
+    fn length_outside_training_is_rejected_with_the_trained_range() {
+        let blob = specimen(NumberFormat::W8A16, SamplerKind::ClipCodes);
+        let model = Model::from_bytes(&blob).unwrap();
+        for frames in [0, 9, 31, u32::MAX] {
+            let error = model.sample(ActionId(0), frames, &mut || 0).unwrap_err();
+            assert_eq!(
+                error,
+                SampleError::OutsideTraining {
+                    frames,
+                    frames_min: 10,
+                    frames_max: 30
+                }
+            );
+        }
+    }
+
+    #[test]
+    fn seed_gives_the_same_code_and_another_seed_another() {
+        for kind in [SamplerKind::ClipCodes, SamplerKind::DiagonalMixture] {
+            let blob = specimen(NumberFormat::W8A16, kind);
+            let model = Model::from_bytes(&blob).unwrap();
+            let draw = |seed| {
+                let mut random = Pcg32::new(seed);
+                model
+                    .sample(ActionId(1), 44, &mut || random.next_u32())
+                    .unwrap()
+            };
+            assert_eq!(draw(1), draw(1));
+            assert_ne!(draw(1), draw(2));
+        }
+    }
+
+    #[test]
+    fn clip_codes_have_the_shared_noise_around_their_clips() {
+        // Action 0 from 20 frames on has one clip: the mean is its code, σ is 30,000 / 2^8 code units.
+        let blob = specimen(NumberFormat::W8A16, SamplerKind::ClipCodes);
+        let model = Model::from_bytes(&blob).unwrap();
+        let mut random = Pcg32::new(3);
+        let draws: Vec<Vec<f64>> = (0..20_000)
+            .map(|_| {
+                let code = model
+                    .sample(ActionId(0), 25, &mut || random.next_u32())
+                    .unwrap();
+                code.values()
+                    .iter()
+                    .map(|&value| f64::from(value))
+                    .collect()
+            })
+            .collect();
+        let count = draws.len() as f64;
+        for column in 0..3 {
+            let mean = draws.iter().map(|draw| draw[column]).sum::<f64>() / count;
+            let variance = draws
+                .iter()
+                .map(|draw| (draw[column] - mean).powi(2))
+                .sum::<f64>()
+                / count;
+            assert!(
+                (variance.sqrt() / 117.19 - 1.0).abs() < 0.02,
+                "σ {}",
+                variance.sqrt()
+            );
+        }
+    }
 }
