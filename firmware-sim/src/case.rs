@@ -94,3 +94,21 @@ impl Case {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::Case;
+
+    #[test]
+    fn stored_case_is_read_back() {
+        let case = Case {
+            action: 0x0102,
+            pose_count: 0x0304,
+            frames: 0x0506_0708,
+            seed: 0x090a_0b0c_0d0e_0f10,
+            first_bits: 0x1112_1314,
+            step_bits: 0x1516_1718,
+        };
+        assert_eq!(Case::from_bytes(&case.to_bytes()), case);
+    }
+}

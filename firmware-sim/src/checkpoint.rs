@@ -295,3 +295,70 @@ impl<'a> Source<'a> {
         Error::bad_input(self.path, what, value, expected, REMEDY)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fixture::Fixture;
+
+    /// The refusal of a run whose checkpoint holds these bytes.
+    fn refusal(bytes: &[u8]) -> String {
+        let run = tempfile::tempdir().unwrap();
+        fs::write(run.path().join(FILE_NAME), bytes).unwrap();
+        let error = Checkpoint::read(run.path()).unwrap_err();
+        assert_eq!(error.exit_code(), 3);
+        error.to_string()
+    }
+
+    #[test]
+    fn run_without_checkpoint_names_the_missing_file() {
+        let error = Checkpoint::read(Path::new("no/such/run")).unwrap_err();
+        assert_eq!(error.exit_code(), 4);
+        assert!(
+            error
+                .to_string()
+                .contains("no/such/run/checkpoint.safetensors"),
+            "{error}"
+        );
+    }
+
+    #[test]
+    fn checkpoint_cut_at_any_length_is_rejected() {
+        let bytes = Fixture::new(1).checkpoint();
+        for length in (0..bytes.len()).step_by(97) {
+            let text = refusal(&bytes[..length]);
+            assert!(text.contains("train again"), "{length}: {text}");
+        }
+    }
+
+    #[test]
+    fn safetensors_of_something_else_name_what_is_missing() {
+        let empty = safetensors::serialize(
+            Vec::<(&str, safetensors::tensor::TensorView<'_>)>::new(),
+            None,
+        );
+        let text = refusal(&empty.unwrap());
+        assert!(text.contains("metadata `state`"), "{text}");
+    }
+
+    #[test]
+    fn weight_that_is_no_number_is_rejected() {
+        let mut bytes = Fixture::new(1).checkpoint();
+        let end = bytes.len();
+        // safetensors stores f64 first, f32 last: the file ends with the last f32 tensor.
+        bytes[end - 4..].copy_from_slice(&f32::NAN.to_le_bytes());
+        assert!(refusal(&bytes).contains("not finite"));
+    }
+
+    #[test]
+    fn checkpoint_is_read_as_it_was_written() {
+        let run = Fixture::new(1).run();
+        let checkpoint = Checkpoint::read(run.path()).unwrap();
+        assert_eq!(checkpoint.layers.len(), 4);
+        assert_eq!(checkpoint.frequencies_rad, [0.25, 0.125, 0.0625, 0.03125]);
+        assert_eq!(
+            checkpoint.sequence_codes.rows().len(),
+            checkpoint.dataset.clips.len()
+        );
+    }
+}

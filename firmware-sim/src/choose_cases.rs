@@ -64,3 +64,48 @@ fn positions(frames: u32, pose_count: u16, fractional: bool) -> (u32, u32) {
         (0, (step_bits >> 16).max(1) << 16)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fixture::Fixture;
+    use karakuri::NumberFormat;
+
+    #[test]
+    fn cases_cover_every_action_its_lengths_and_fractional_positions() {
+        let blob = Fixture::new(1).blob(NumberFormat::W8A16);
+        let model = Model::from_bytes(&blob).unwrap();
+        for pose_count_min in [1, 7, 1_000] {
+            let cases = choose_cases(&model, pose_count_min);
+            let pose_count: usize = cases.iter().map(|case| usize::from(case.pose_count)).sum();
+            assert!(pose_count >= pose_count_min);
+            for motion in [(0, 30), (0, 45), (0, 60), (1, 41), (1, 65), (1, 90)] {
+                assert!(
+                    cases
+                        .iter()
+                        .any(|case| (case.action, case.frames) == motion),
+                    "{motion:?}"
+                );
+            }
+        }
+        let cases = choose_cases(&model, 1_000);
+        let positions: Vec<u32> = cases
+            .iter()
+            .flat_map(|case| case.positions().map(|position| position.to_bits()))
+            .collect();
+        let whole = positions.iter().filter(|bits| *bits & 0xffff == 0).count();
+        assert!(
+            whole * 3 > positions.len() && whole * 3 < positions.len() * 2,
+            "{whole}"
+        );
+    }
+
+    #[test]
+    fn positions_stay_within_a_motion_that_has_frames_for_them() {
+        for fractional in [false, true] {
+            let (first_bits, step_bits) = positions(91, 10, fractional);
+            assert!(first_bits + 9 * step_bits <= 90 << 16);
+            assert!(first_bits + 9 * step_bits > 80 << 16);
+        }
+    }
+}

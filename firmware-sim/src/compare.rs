@@ -327,6 +327,56 @@ mod tests {
         assert!(matches!(error, Error::Blob { .. }), "{error}");
     }
 
+    #[test]
+    fn blob_of_another_training_is_rejected() {
+        let fixture = Fixture::new(1);
+        let blob = fixture.blob(NumberFormat::F16);
+        let mut other = Fixture::new(1);
+        other.config_hash = [1; 32];
+        let error = compare_fixtures(&other, &blob).unwrap_err();
+        assert_eq!(error.exit_code(), 3);
+        assert!(error.to_string().contains("config hash"), "{error}");
+    }
+
+    #[test]
+    fn blob_of_another_shape_is_rejected() {
+        let fixture = Fixture::new(1);
+        let run = fixture.run();
+        let mut checkpoint = Checkpoint::read(run.path()).unwrap();
+        checkpoint.layers.pop();
+        let blob = fixture.blob(NumberFormat::F16);
+        let error = compare(&checkpoint, &blob, OPTIONS, &ProgressBar::hidden()).unwrap_err();
+        assert!(
+            error
+                .to_string()
+                .contains("shape is 3+2+8 → 24 → 16 → 12 → 10"),
+            "{error}"
+        );
+    }
+
+    #[test]
+    fn result_does_not_depend_on_the_order_in_which_threads_finish() {
+        let fixture = Fixture::new(2);
+        let blob = fixture.blob(NumberFormat::W8A16);
+        let [first, second] = [(); 2].map(|()| compare_fixtures(&fixture, &blob).unwrap());
+        assert_eq!(first, second);
+    }
+
+    #[test]
+    fn frames_of_a_clip_are_spread_from_first_to_last() {
+        let frames = |frame_count, count| -> Vec<u32> {
+            let positions = evenly_spaced_frames(frame_count, count);
+            positions
+                .iter()
+                .map(|position| position.to_bits() >> 16)
+                .collect()
+        };
+        assert!(frames(0, 4).is_empty());
+        assert_eq!(frames(1, 4), [0]);
+        assert_eq!(frames(3, 4), [0, 1, 2]);
+        assert_eq!(frames(10, 4), [0, 3, 6, 9]);
+    }
+
     /// In order of what the formats promise: f16 is exact here but for its f32 sums and sinusoids of 16 bits.
     #[test]
     fn errors_of_every_format_stay_within_its_resolution() {
@@ -340,7 +390,6 @@ mod tests {
             for table in [&comparison.training_clips, &comparison.mixture_draws] {
                 for row in &table.rows {
                     println!("{row:?}");
-                    std::fs::write(format!("/tmp/fix_{}.kara", format.name()), fixture.blob(format)).unwrap(); std::fs::create_dir_all("/tmp/fixrun").unwrap(); std::fs::write("/tmp/fixrun/checkpoint.safetensors", fixture.checkpoint()).unwrap();
                     assert!(
                         row.signal_to_noise_db.unwrap() > signal_to_noise_db_min,
                         "{row:?}"

@@ -30,7 +30,6 @@ const GROUPS: [(&str, GroupKind, Unit); 3] = [
 ];
 const WEIGHT_UNIT: f64 = 1.0 / 64.0;
 const CODE_FRACTION_BITS: u8 = 12;
-const CONFIG_HASH: [u8; 32] = [0xa5; 32];
 
 /// One layer, weights in units of `WEIGHT_UNIT`.
 struct Layer {
@@ -50,6 +49,8 @@ pub struct Fixture {
     action_codes: Vec<f64>,
     mean: Vec<f64>,
     scale: Vec<f64>,
+    /// SHA-256 of a configuration.
+    pub config_hash: [u8; 32],
 }
 
 impl Fixture {
@@ -85,6 +86,7 @@ impl Fixture {
             scale: (0..WIDTHS[3])
                 .map(|channel| 0.5 + channel as f64 / 8.0)
                 .collect(),
+            config_hash: [0xa5; 32],
         }
     }
 
@@ -166,7 +168,8 @@ impl Fixture {
             "clips": CLIP_FRAMES.iter().enumerate().map(clip).collect::<Vec<_>>(),
             "mean": self.mean, "scale": self.scale,
         });
-        let hash: String = CONFIG_HASH
+        let hash: String = self
+            .config_hash
             .iter()
             .map(|byte| format!("{byte:02x}"))
             .collect();
@@ -204,7 +207,13 @@ impl Fixture {
             layers.push(shape(index, layer, format));
             layer_tensors(&mut tensors, index, layer, format);
         }
-        let manifest = manifest(format, &layers);
+        let manifest = Manifest {
+            provenance: Provenance {
+                config_hash: self.config_hash,
+                seed: 1,
+            },
+            ..manifest(format, &layers)
+        };
         let groups = GROUPS.map(|(name, kind, unit)| Group { name, kind, unit });
         let tensors: Vec<_> = tensors
             .iter()
@@ -448,8 +457,8 @@ fn manifest(format: NumberFormat, layers: &[LayerShape]) -> Manifest<'static> {
             step_max_q16: 1 << 14,
         },
         provenance: Provenance {
-            config_hash: CONFIG_HASH,
-            seed: 1,
+            config_hash: [0; 32],
+            seed: 0,
         },
     }
 }

@@ -241,6 +241,12 @@ mod tests {
     use super::*;
 
     #[test]
+    fn bytes_that_are_no_blob_are_rejected_before_anything_is_built() {
+        let outcome = run_parity(b"no blob", Target::CortexM4, 1, &ProgressBar::hidden());
+        assert_eq!(outcome.unwrap_err().exit_code(), 5);
+    }
+
+    #[test]
     fn too_few_poses_are_an_error_not_a_pass() {
         let transcript = Transcript {
             poses: vec![vec![1]],

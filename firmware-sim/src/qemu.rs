@@ -37,44 +37,8 @@ impl Qemu<'_> {
     ///
     /// # Errors
     /// [`Error::MissingTool`] without the emulator; [`Error::Firmware`] after a non-zero exit code or a time-out.
-    pub fn run(&self, elf: &Path, target: Target, mut on_line: impl FnMut(&str)) -> Result<()> {
-        let mut guest = Guest(self.start(elf, target)?);
-        let errors = guest
-            .0
-            .stderr
-            .take()
-            .map(|stream| thread::spawn(move || read_all(stream)));
-        let lines = guest.0.stdout.take().map(spawn_reader);
-        let deadline = Instant::now() + self.time_limit;
-        let mut log = Vec::new();
-        let in_time = lines.is_some_and(|lines| {
-            forward(&lines, deadline, |line| {
-                remember(&mut log, line);
-                on_line(line);
-            })
-        });
-        if !in_time {
-            let reason = format!("no end after {} s", self.time_limit.as_secs());
-            return Err(Error::Firmware {
-                reason,
-                log: log.join("\n"),
-            });
-        }
-        let status = guest
-            .0
-            .wait()
-            .map_err(Error::io("wait for", self.program))?;
-        if status.success() {
-            return Ok(());
-        }
-        let errors = errors
-            .and_then(|thread| thread.join().ok())
-            .unwrap_or_default();
-        errors.lines().for_each(|line| remember(&mut log, line));
-        Err(Error::Firmware {
-            reason: status.to_string(),
-            log: log.join("\n"),
-        })
+    pub fn run(&self, elf: &Path, target: Target, on_line: impl FnMut(&str)) -> Result<()> {
+        Guest(self.start(elf, target)?).watch(self.time_limit, on_line)
     }
 
     /// Finds out before a long build.
@@ -112,6 +76,45 @@ impl Qemu<'_> {
 
 /// A running emulator that does not outlive its owner.
 struct Guest(Child);
+
+impl Guest {
+    /// Forwards its output until it ends, well and in time.
+    fn watch(mut self, time_limit: Duration, mut on_line: impl FnMut(&str)) -> Result<()> {
+        let errors = self
+            .0
+            .stderr
+            .take()
+            .map(|stream| thread::spawn(move || read_all(stream)));
+        let lines = self.0.stdout.take().map(spawn_reader);
+        let deadline = Instant::now() + time_limit;
+        let mut log = Vec::new();
+        let in_time = lines.is_some_and(|lines| {
+            forward(&lines, deadline, |line| {
+                remember(&mut log, line);
+                on_line(line);
+            })
+        });
+        if !in_time {
+            let reason = format!("no end after {} s", time_limit.as_secs());
+            return Err(Error::Firmware {
+                reason,
+                log: log.join("\n"),
+            });
+        }
+        let status = self.0.wait().map_err(Error::io("wait for", PROGRAM))?;
+        if status.success() {
+            return Ok(());
+        }
+        let errors = errors
+            .and_then(|thread| thread.join().ok())
+            .unwrap_or_default();
+        errors.lines().for_each(|line| remember(&mut log, line));
+        Err(Error::Firmware {
+            reason: status.to_string(),
+            log: log.join("\n"),
+        })
+    }
+}
 
 impl Drop for Guest {
     fn drop(&mut self) {
@@ -157,4 +160,69 @@ fn remember(log: &mut Vec<String>, line: &str) {
         log.remove(0);
     }
     log.push(line.chars().take(LOG_LINE_LEN).collect());
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const ABSENT: Qemu<'_> = Qemu {
+        program: "qemu-system-arm-that-nobody-installed",
+        time_limit: Duration::ZERO,
+    };
+
+    #[test]
+    fn missing_qemu_names_the_package_to_install() {
+        for outcome in [
+            ABSENT.check_installed(),
+            ABSENT.run(Path::new("x"), Target::CortexM4, |_| ()),
+        ] {
+            let error = outcome.unwrap_err();
+            assert!(error.is_missing_tool());
+            assert!(
+                error
+                    .to_string()
+                    .contains("apt-get install -y qemu-system-arm"),
+                "{error}"
+            );
+        }
+    }
+
+    /// Any program will do to watch.
+    fn watch(script: &str, time_limit: Duration) -> Result<Vec<String>> {
+        let mut command = Command::new("sh");
+        command
+            .args(["-c", script])
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped());
+        let mut lines = Vec::new();
+        let on_line = |line: &str| lines.push(line.to_owned());
+        Guest(command.spawn().unwrap()).watch(time_limit, on_line)?;
+        Ok(lines)
+    }
+
+    #[test]
+    fn emulator_that_does_not_end_in_time_is_killed() {
+        let start = Instant::now();
+        let error = watch("exec sleep 60", Duration::from_millis(50)).unwrap_err();
+        assert!(error.to_string().contains("no end after 0 s"), "{error}");
+        assert!(start.elapsed() < Duration::from_secs(30));
+    }
+
+    #[test]
+    fn failed_run_shows_exit_code_and_what_was_said_last() {
+        let script = "echo error blob; echo panicked >&2; exit 101";
+        let error = watch(script, Duration::from_secs(60))
+            .unwrap_err()
+            .to_string();
+        for part in ["101", "error blob", "panicked"] {
+            assert!(error.contains(part), "{error}");
+        }
+    }
+
+    #[test]
+    fn lines_arrive_in_order() {
+        let lines = watch("echo one; echo two", Duration::from_secs(60)).unwrap();
+        assert_eq!(lines, ["one", "two"]);
+    }
 }

@@ -76,14 +76,7 @@ impl Toolchain {
             .find(|found| found.library == Library::Installed)
             .or_else(|| candidates.first())
             .cloned()
-            .ok_or_else(|| Error::MissingTool {
-                what: format!("a Rust toolchain for {}", target.triple()),
-                remedy: format!(
-                    "run `rustup target add {}`, or on Debian and Ubuntu `apt-get install -y \
-                     rustc-web cargo-web rust-web-src gcc-arm-none-eabi`",
-                    target.triple()
-                ),
-            })
+            .ok_or_else(|| missing(target))
     }
 
     /// The toolchain whose programs are in `bin` (empty: on the `PATH`), if it can serve.
@@ -156,6 +149,17 @@ impl Toolchain {
     }
 }
 
+fn missing(target: Target) -> Error {
+    let triple = target.triple();
+    Error::MissingTool {
+        what: format!("a Rust toolchain for {triple}"),
+        remedy: format!(
+            "run `rustup target add {triple}`, or on Debian and Ubuntu `apt-get install -y \
+             rustc-web cargo-web rust-web-src gcc-arm-none-eabi`"
+        ),
+    }
+}
+
 /// A command without the variables that a parent cargo or rustup set for itself.
 fn clean_command(program: &Path) -> Command {
     let mut command = Command::new(program);
@@ -183,4 +187,55 @@ fn has_lld(rustlib: &Path) -> bool {
     folders
         .flatten()
         .any(|folder| folder.path().join("bin/rust-lld").is_file())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn folder_without_programs_holds_no_toolchain() {
+        let folder = tempfile::tempdir().unwrap();
+        assert_eq!(
+            Toolchain::probe(Target::CortexM4, folder.path(), folder.path()),
+            None
+        );
+    }
+
+    #[test]
+    fn missing_toolchain_names_both_ways_to_get_one() {
+        let text = missing(Target::CortexM4).to_string();
+        assert!(
+            text.contains("rustup target add thumbv7em-none-eabihf"),
+            "{text}"
+        );
+        assert!(text.contains("apt-get install -y rustc-web"), "{text}");
+    }
+
+    #[test]
+    fn build_from_source_passes_linker_and_processor() {
+        let toolchain = Toolchain {
+            target: Target::CortexM4,
+            cargo: "/usr/bin/cargo".into(),
+            rustc: "/usr/bin/rustc".into(),
+            library: Library::FromSource,
+            linker: Linker::Gnu,
+        };
+        let command = toolchain.build_command();
+        let arguments: Vec<_> = command
+            .get_args()
+            .map(|text| text.to_string_lossy())
+            .collect();
+        let expected = [
+            r#"target.'thumbv7em-none-eabihf'.linker="arm-none-eabi-ld""#,
+            r#"target.'thumbv7em-none-eabihf'.rustflags=["-C", "target-cpu=cortex-m4", "-C", "linker-flavor=ld"]"#,
+            "-Zbuild-std=core",
+        ];
+        for argument in expected {
+            assert!(
+                arguments.iter().any(|found| found == argument),
+                "{arguments:?}"
+            );
+        }
+    }
 }
