@@ -23,6 +23,7 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use tempfile::NamedTempFile;
 
+use crate::checkpoint::Checkpoint;
 use crate::dataset::DatasetDescription;
 use crate::error::{Error, Result};
 use crate::fit::fit;
@@ -34,6 +35,21 @@ use crate::mixture_set::{Fallback, FitReport, IntervalMixture, MixtureSet};
 pub const FILE_NAME: &str = "mixture.safetensors";
 /// Part of the key; change it whenever `fit` would give other mixtures for the same input.
 const FIT_VERSION: &str = "karakuri mixture 1";
+
+/// The mixtures of a run's codes: read from its cache, or fitted and cached.
+///
+/// # Errors
+/// See [`fit_or_read`].
+pub fn of_checkpoint(run: &Path, checkpoint: &Checkpoint) -> Result<MixtureSet> {
+    let config = &checkpoint.config;
+    fit_or_read(
+        run,
+        &checkpoint.sequence_codes,
+        &checkpoint.dataset,
+        &config.mixture,
+        config.seed,
+    )
+}
 
 /// Reads the run's mixtures if they were fitted to this very input, otherwise fits and writes them.
 ///
