@@ -260,3 +260,268 @@ fn progress_bar(mixture_count: usize) -> ProgressBar {
     ProgressBar::new(mixture_count as u64)
         .with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dataset::ClipDescription;
+    use crate::layout::PoseLayout;
+    use crate::mixture::Covariance;
+
+    fn config() -> MixtureConfig {
+        MixtureConfig {
+            components_max: 15,
+            covariance: Covariance::Full,
+            draws_per_clip: 50,
+            interval_frames_min: 10,
+            interval_clips_min: 5,
+            attempts_max: 10,
+            restarts: 2,
+            regularization: 1e-3,
+            collapse_distance: 0.1,
+        }
+    }
+
+    /// `clip_count` clips of two actions, 20 to 79 poses long.
+    fn description(clip_count: usize) -> DatasetDescription {
+        let clip = |row: usize| ClipDescription {
+            name: format!("clip{row}"),
+            action: row % 2,
+            frame_count: 20 + row * 37 % 60,
+        };
+        DatasetDescription {
+            layout: PoseLayout::default(),
+            rate_hz: 20.0,
+            actions: vec!["bow".into(), "nod".into()],
+            clips: (0..clip_count).map(clip).collect(),
+            mean: Vec::new(),
+            scale: Vec::new(),
+            skeleton: None,
+        }
+    }
+
+    fn codes(clip_count: usize) -> CodeTable {
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        let number_count = clip_count * 4;
+        CodeTable {
+            dimension_count: 4,
+            mean: (0..number_count)
+                .map(|_| StandardNormal.sample(&mut rng))
+                .collect(),
+            log_variance: vec![-2.0; number_count],
+        }
+    }
+
+    fn refusal(
+        codes: &CodeTable,
+        description: &DatasetDescription,
+        config: &MixtureConfig,
+    ) -> String {
+        fit(codes, description, config, 1).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn dataset_without_clips_is_rejected() {
+        let message = refusal(&codes(0), &description(0), &config());
+        assert!(message.contains("clips × dimensions is 0 × 4"), "{message}");
+    }
+
+    #[test]
+    fn code_table_of_another_dataset_is_rejected() {
+        let message = refusal(&codes(9), &description(10), &config());
+        assert!(
+            message.contains("length of mean is 36, expected 40"),
+            "{message}"
+        );
+    }
+
+    #[test]
+    fn numbers_that_are_not_finite_are_rejected_with_their_row() {
+        for value in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+            let mut codes = codes(10);
+            codes.mean[13] = value;
+            let message = refusal(&codes, &description(10), &config());
+            assert!(message.contains("mean of row 3 is "), "{message}");
+        }
+        for value in [f32::NAN, f32::NEG_INFINITY, 1000.0] {
+            let mut codes = codes(10);
+            codes.log_variance[39] = value;
+            let message = refusal(&codes, &description(10), &config());
+            assert!(message.contains("log_variance of row 9 is "), "{message}");
+        }
+    }
+
+    #[test]
+    fn clip_of_an_unknown_action_is_rejected() {
+        let mut description = description(10);
+        description.clips[4].action = 2;
+        let message = refusal(&codes(10), &description, &config());
+        assert!(message.contains("clip `clip4` is "), "{message}");
+    }
+
+    #[test]
+    fn configuration_out_of_range_is_rejected_with_its_key() {
+        let bad = [
+            (
+                "components_max",
+                MixtureConfig {
+                    components_max: 0,
+                    ..config()
+                },
+            ),
+            (
+                "draws_per_clip",
+                MixtureConfig {
+                    draws_per_clip: 0,
+                    ..config()
+                },
+            ),
+            (
+                "interval_frames_min",
+                MixtureConfig {
+                    interval_frames_min: 0,
+                    ..config()
+                },
+            ),
+            (
+                "interval_clips_min",
+                MixtureConfig {
+                    interval_clips_min: 0,
+                    ..config()
+                },
+            ),
+            (
+                "attempts_max",
+                MixtureConfig {
+                    attempts_max: 0,
+                    ..config()
+                },
+            ),
+            (
+                "restarts",
+                MixtureConfig {
+                    restarts: 0,
+                    ..config()
+                },
+            ),
+            (
+                "regularization",
+                MixtureConfig {
+                    regularization: 0.0,
+                    ..config()
+                },
+            ),
+            (
+                "regularization",
+                MixtureConfig {
+                    regularization: f64::NAN,
+                    ..config()
+                },
+            ),
+            (
+                "collapse_distance",
+                MixtureConfig {
+                    collapse_distance: -0.1,
+                    ..config()
+                },
+            ),
+        ];
+        for (key, config) in bad {
+            let message = refusal(&codes(10), &description(10), &config);
+            assert!(message.contains(&format!("mixture.{key} is ")), "{message}");
+        }
+    }
+
+    #[test]
+    fn one_clip_makes_one_mixture_of_one_component() {
+        let mixtures = fit(&codes(1), &description(1), &config(), 1).unwrap();
+        assert_eq!(mixtures.intervals.len(), 1);
+        assert_eq!(mixtures.intervals[0].mixture.components.len(), 1);
+        assert!(mixtures.trained_frames(1).is_err());
+    }
+
+    #[test]
+    fn every_trained_duration_is_served_and_every_clip_has_its_share() {
+        let (codes, description) = (codes(60), description(60));
+        let mixtures = fit(&codes, &description, &config(), 1).unwrap();
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        for clip in &description.clips {
+            let code = mixtures
+                .sample(clip.action, clip.frame_count, &mut rng)
+                .unwrap();
+            assert!(code.len() == 4 && code.iter().all(|value| value.is_finite()));
+        }
+        for interval in &mixtures.intervals {
+            assert!(interval.mixture.components.len() <= interval.clips.len());
+            let weight: f64 = interval.mixture.components.iter().map(|c| c.weight).sum();
+            assert!((weight - 1.0).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn fit_is_the_same_on_any_number_of_threads_and_differs_by_seed() {
+        let (codes, description) = (codes(60), description(60));
+        let fit_on = |thread_count, seed| {
+            let pool = rayon::ThreadPoolBuilder::new()
+                .num_threads(thread_count)
+                .build()
+                .unwrap();
+            pool.install(|| fit(&codes, &description, &config(), seed).unwrap())
+        };
+        assert_eq!(fit_on(1, 7), fit_on(3, 7));
+        assert_ne!(fit_on(1, 7), fit_on(1, 8));
+    }
+
+    #[test]
+    fn draws_match_the_mean_and_deviation_of_their_clip() {
+        let codes = CodeTable {
+            dimension_count: 2,
+            mean: vec![9.0, 9.0, 1.0, -2.0],
+            log_variance: vec![9.0, 9.0, 0.0, 4f32.ln()],
+        };
+        let draws = draw_codes(&codes, &[1], 20_000, &mut ChaCha8Rng::seed_from_u64(1));
+        for (dimension, (mean, variance)) in [(1.0, 1.0), (-2.0, 4.0)].into_iter().enumerate() {
+            let column = || draws.iter().skip(dimension).step_by(2);
+            let found = column().sum::<f64>() / 20_000.0;
+            let square = column().map(|x| (x - found) * (x - found)).sum::<f64>() / 20_000.0;
+            assert!((found - mean).abs() < 0.05 && (square - variance).abs() < 0.1);
+        }
+    }
+
+    #[test]
+    fn no_two_streams_begin_alike() {
+        use rand::Rng;
+        let streams = Streams {
+            seed: 1,
+            action: 2,
+            frames_min: 3,
+        };
+        let others = [
+            Streams {
+                seed: 2,
+                action: 2,
+                frames_min: 3,
+            },
+            Streams {
+                seed: 1,
+                action: 3,
+                frames_min: 2,
+            },
+            Streams {
+                seed: 1,
+                action: 2,
+                frames_min: 4,
+            },
+        ];
+        let mut first: Vec<u64> = others
+            .iter()
+            .map(|other| other.draws().next_u64())
+            .collect();
+        first.push(streams.draws().next_u64());
+        first.extend((0..30).map(|i| streams.start(i / 10, i % 10).next_u64()));
+        let count = first.len();
+        first.sort_unstable();
+        first.dedup();
+        assert_eq!(first.len(), count);
+    }
+}

@@ -335,3 +335,152 @@ fn checksum(key: &str, outline: &str, numbers: &Numbers) -> String {
 fn hexadecimal(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dataset::ClipDescription;
+    use crate::layout::PoseLayout;
+
+    struct Run {
+        codes: CodeTable,
+        description: DatasetDescription,
+        config: MixtureConfig,
+        seed: u64,
+    }
+
+    fn run() -> Run {
+        let clip = |row: usize| ClipDescription {
+            name: format!("clip{row}"),
+            action: 0,
+            frame_count: 20 + 5 * row,
+        };
+        Run {
+            codes: CodeTable {
+                dimension_count: 3,
+                mean: (0..36).map(|i| (1.3 * i as f32).sin()).collect(),
+                log_variance: vec![-3.0; 36],
+            },
+            description: DatasetDescription {
+                layout: PoseLayout::default(),
+                rate_hz: 50.0,
+                actions: vec!["bow".into()],
+                clips: (0..12).map(clip).collect(),
+                mean: Vec::new(),
+                scale: Vec::new(),
+                skeleton: None,
+            },
+            config: MixtureConfig {
+                components_max: 4,
+                covariance: Covariance::Full,
+                draws_per_clip: 10,
+                interval_frames_min: 10,
+                interval_clips_min: 5,
+                attempts_max: 5,
+                restarts: 1,
+                regularization: 1e-3,
+                collapse_distance: 0.0,
+            },
+            seed: 1,
+        }
+    }
+
+    impl Run {
+        fn key(&self) -> String {
+            key(&self.codes, &self.description, &self.config, self.seed)
+        }
+
+        fn fit_or_read(&self, folder: &Path) -> Result<MixtureSet> {
+            fit_or_read(
+                folder,
+                &self.codes,
+                &self.description,
+                &self.config,
+                self.seed,
+            )
+        }
+
+        fn parse(&self, bytes: &[u8]) -> Option<Vec<IntervalMixture>> {
+            parse(bytes, &self.key(), self.codes.dimension_count)
+        }
+    }
+
+    #[test]
+    fn folder_that_does_not_exist_is_an_error_that_names_the_file() {
+        let message = run()
+            .fit_or_read(Path::new("/no/such/run"))
+            .unwrap_err()
+            .to_string();
+        assert!(
+            message.starts_with("/no/such/run/mixture.safetensors: cannot write"),
+            "{message}"
+        );
+    }
+
+    #[test]
+    fn file_cut_at_any_length_or_with_any_byte_changed_is_not_used() {
+        let run = run();
+        let mixtures = fit(&run.codes, &run.description, &run.config, run.seed).unwrap();
+        let bytes = emit(&run.key(), &mixtures).unwrap();
+        assert_eq!(run.parse(&bytes), Some(mixtures.intervals));
+        for len in 0..bytes.len() {
+            assert_eq!(run.parse(&bytes[..len]), None);
+        }
+        for index in 0..bytes.len() {
+            let mut damaged = bytes.clone();
+            damaged[index] ^= 0x20;
+            // Spaces in the header may change without changing its meaning.
+            assert!(
+                run.parse(&damaged)
+                    .is_none_or(|_| matches!(bytes[index], b' ' | 0))
+            );
+        }
+    }
+
+    #[test]
+    fn damaged_file_is_made_again() {
+        let folder = tempfile::tempdir().unwrap();
+        let expected = run().fit_or_read(folder.path()).unwrap();
+        fs::write(folder.path().join(FILE_NAME), b"not a file of ours").unwrap();
+        assert_eq!(run().fit_or_read(folder.path()).unwrap(), expected);
+        let bytes = fs::read(folder.path().join(FILE_NAME)).unwrap();
+        assert_eq!(run().parse(&bytes), Some(expected.intervals));
+    }
+
+    #[test]
+    fn second_call_reads_what_the_first_wrote_bit_for_bit() {
+        for covariance in [Covariance::Full, Covariance::Diagonal] {
+            let mut run = run();
+            run.config.covariance = covariance;
+            let folder = tempfile::tempdir().unwrap();
+            let fitted = run.fit_or_read(folder.path()).unwrap();
+            let path = folder.path().join(FILE_NAME);
+            let written = fs::metadata(&path).unwrap().modified().unwrap();
+            assert_eq!(run.fit_or_read(folder.path()).unwrap(), fitted);
+            assert_eq!(fs::metadata(&path).unwrap().modified().unwrap(), written);
+            assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+        }
+    }
+
+    #[test]
+    fn key_changes_with_everything_that_the_fit_depends_on() {
+        let changes: [fn(&mut Run); 7] = [
+            |run| run.codes.mean[5] += 1e-6,
+            |run| run.codes.log_variance[5] += 1e-6,
+            |run| run.seed += 1,
+            |run| run.config.regularization *= 2.0,
+            |run| run.description.clips[3].frame_count += 1,
+            |run| run.description.actions[0].push('s'),
+            |run| run.description.rate_hz += 1.0,
+        ];
+        let mut keys = vec![run().key()];
+        for change in changes {
+            let mut run = run();
+            change(&mut run);
+            keys.push(run.key());
+        }
+        keys.sort_unstable();
+        keys.dedup();
+        assert_eq!(keys.len(), 8);
+    }
+}
