@@ -14,15 +14,15 @@
 
 use std::collections::HashMap;
 use std::fs;
-use std::io::{ErrorKind, Write};
+use std::io::ErrorKind;
 use std::path::Path;
 use std::vec::IntoIter;
 
 use safetensors::tensor::{Dtype, SafeTensors, TensorView, serialize};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
-use tempfile::NamedTempFile;
 
+use crate::atomic_file::{self, Overwrite};
 use crate::checkpoint::Checkpoint;
 use crate::dataset::DatasetDescription;
 use crate::error::{Error, Result};
@@ -189,10 +189,9 @@ fn factor_numbers(component: &Component) -> &[f64] {
 }
 
 fn write(path: &Path, key: &str, mixtures: &MixtureSet) -> Result<()> {
-    let bytes = emit(key, mixtures).map_err(std::io::Error::other);
-    bytes
-        .and_then(|bytes| write_atomically(path, &bytes))
-        .map_err(Error::io("write", path))
+    let bytes = emit(key, mixtures)
+        .map_err(|error| Error::io("encode", path)(std::io::Error::other(error)))?;
+    atomic_file::write(path, &bytes, Overwrite::Replace)
 }
 
 fn emit(key: &str, mixtures: &MixtureSet) -> anyhow::Result<Vec<u8>> {
@@ -216,15 +215,6 @@ fn emit(key: &str, mixtures: &MixtureSet) -> anyhow::Result<Vec<u8>> {
         .map(|(name, count, bytes)| Ok((*name, TensorView::new(Dtype::F64, vec![*count], bytes)?)))
         .collect::<anyhow::Result<Vec<_>>>()?;
     Ok(serialize(views, Some(metadata))?)
-}
-
-/// Leaves the old bytes or the new ones, whenever the process or the machine stops.
-fn write_atomically(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
-    let mut file = NamedTempFile::new_in(path.parent().unwrap_or(Path::new(".")))?;
-    file.write_all(bytes)?;
-    file.as_file().sync_all()?;
-    file.persist(path)?;
-    Ok(())
 }
 
 /// `None` when there is no file, or it is another fit's, or it is damaged.
