@@ -23,7 +23,7 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 use crate::atomic_file::{self, Overwrite};
-use crate::checkpoint::Checkpoint;
+use crate::checkpoint::{Checkpoint, hexadecimal};
 use crate::dataset::DatasetDescription;
 use crate::error::{Error, Result};
 use crate::fit::fit;
@@ -34,7 +34,7 @@ use crate::mixture_set::{Fallback, FitReport, IntervalMixture, MixtureSet};
 /// The file's name within the run's folder.
 pub const FILE_NAME: &str = "mixture.safetensors";
 /// Part of the key; change it whenever `fit` would give other mixtures for the same input.
-const FIT_VERSION: &str = "karakuri mixture 1";
+const FIT_VERSION: &str = "karakuri mixture 2";
 
 /// The mixtures of a run's codes: read from its cache, or fitted and cached.
 ///
@@ -190,7 +190,8 @@ fn factor_numbers(component: &Component) -> &[f64] {
 
 fn write(path: &Path, key: &str, mixtures: &MixtureSet) -> Result<()> {
     let bytes = emit(key, mixtures)
-        .map_err(|error| Error::io("encode", path)(std::io::Error::other(error)))?;
+        .map_err(std::io::Error::other)
+        .map_err(Error::io("write", path))?;
     atomic_file::write(path, &bytes, Overwrite::Replace)
 }
 
@@ -320,10 +321,6 @@ fn checksum(key: &str, outline: &str, numbers: &Numbers) -> String {
         }
     }
     hexadecimal(&hash.finalize())
-}
-
-fn hexadecimal(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 #[cfg(test)]
