@@ -3,10 +3,14 @@
 //! In:  a [`PoseLayout`], poses, and for rotations a [`Skeleton`].
 //! Out: one point a joint to `represent`, pictures and metrics.
 
-use crate::kinematics;
+pub mod rotation;
+pub mod skeleton;
+pub mod infer_skeleton;
+pub mod kinematics;
+
+use crate::body::rotation::{Rotation, Vector, add};
+use crate::body::skeleton::Skeleton;
 use crate::layout::{GroupKind, PoseLayout};
-use crate::rotation::{Rotation, Vector, add};
-use crate::skeleton::Skeleton;
 
 /// Reads joint positions out of poses of one layout.
 #[derive(Clone, Debug)]

@@ -24,8 +24,8 @@ use crate::config::{DecoderStep, TrainConfig};
 use crate::dataset::{Dataset, DatasetDescription};
 use crate::error::{Error, Result};
 use crate::float_model::{CodeTable, DenseLayer, FloatModel, ModelShape};
-use crate::optimizer::{CodeMoments, DecoderMoments};
 use crate::random::{Purpose, stream};
+use crate::train::optimizer::{CodeMoments, DecoderMoments};
 use tensor_file::{TensorReader, TensorWriter};
 
 /// All that a run has learned, and all that it needs to go on.

@@ -13,10 +13,10 @@ use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
 
+use crate::body::skeleton::Skeleton;
 use crate::clip::{Clip, ClipSet};
 use crate::error::{Error, Result};
 use crate::layout::{GroupKind, PoseLayout};
-use crate::skeleton::Skeleton;
 
 /// What a checkpoint has to remember of its dataset: everything except the poses.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

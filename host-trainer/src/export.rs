@@ -3,6 +3,8 @@
 //! In:  [`Motion`] from `generate`.
 //! Out: CSV (read again by the importer), NumPy, or JSON; each written whole or not at all.
 
+pub mod bvh;
+
 use std::path::{Path, PathBuf};
 
 use npyz::WriterBuilder;
@@ -10,10 +12,9 @@ use serde::Serialize;
 
 use crate::atomic_file::{self, Overwrite};
 use crate::body::Body;
-use crate::bvh_export as bvh;
+use crate::body::skeleton::Skeleton;
 use crate::error::{Error, Result};
 use crate::layout::PoseLayout;
-use crate::skeleton::Skeleton;
 
 /// One generated motion with everything that is needed to make it again.
 #[derive(Clone, Debug, PartialEq)]

@@ -11,12 +11,12 @@ use karakuri::{Decoder, FramePosition, Model, Pcg32, Pose, Workspace};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
+use crate::body::skeleton::Skeleton;
 use crate::checkpoint::Checkpoint;
 use crate::error::{Error, Result};
 use crate::export::Motion;
 use crate::layout::{Group, PoseLayout};
-use crate::mixture_set::MixtureSet;
-use crate::skeleton::Skeleton;
+use crate::mixture::set::MixtureSet;
 
 /// What the user asked for.
 #[derive(Clone, Debug, PartialEq)]

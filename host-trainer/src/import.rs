@@ -11,10 +11,10 @@ use std::path::Path;
 
 use indicatif::{ProgressBar, ProgressFinish, ProgressIterator, ProgressStyle};
 
+use crate::body::skeleton::Skeleton;
 use crate::clip::{Clip, ClipSet};
 use crate::error::{Error, Result};
 use crate::layout::{PoseLayout, Unit};
-use crate::skeleton::Skeleton;
 
 mod files;
 pub mod labels;

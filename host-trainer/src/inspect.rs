@@ -6,6 +6,8 @@
 //! Why here: a wrong unit, a spike or a label with one clip costs an hour of training to notice and
 //! a second to see here.
 
+pub mod blob;
+
 mod rows;
 mod text;
 

@@ -10,6 +10,14 @@
 //! is seeded anew in every call, so all repetitions of its evaluation score one and the same set of
 //! motions, sorted by component.
 
+pub mod interval;
+pub mod k_means;
+pub mod expectation_maximization;
+pub mod collapse;
+pub mod fit;
+pub mod set;
+pub mod file;
+
 use std::f64::consts::TAU;
 
 use rand::{Rng, RngExt};

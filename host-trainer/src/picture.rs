@@ -4,13 +4,16 @@
 //! Out: an SVG contact sheet: skeleton figures over time for bodies, small curves for everything
 //! else.
 
+pub mod svg;
+pub mod view;
+pub mod stick_figures;
+pub mod curves;
+
 use std::path::Path;
 
 use crate::atomic_file::{self, Overwrite};
-use crate::curves;
 use crate::error::{Error, Result};
 use crate::export::Motion;
-use crate::stick_figures;
 
 /// Draws a contact sheet.
 ///
@@ -60,8 +63,8 @@ pub fn write(motions: &[Motion], title: &str, path: &Path, overwrite: Overwrite)
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::body::skeleton::Skeleton;
     use crate::layout::{Group, GroupKind, PoseLayout, Unit};
-    use crate::skeleton::Skeleton;
 
     fn motion(kinds: &[GroupKind], frame_count: usize) -> Motion {
         let groups = kinds

@@ -6,6 +6,10 @@
 //! Standardisation is folded into the last layer, so that the device's channels come out in channel units; layer 1 is
 //! split into its code half and its time half. Offsets are `karakuri::blob`'s business.
 
+pub mod calibrate;
+pub mod layer;
+pub mod sampler;
+
 use std::f64::consts::TAU;
 
 use half::f16;
@@ -15,15 +19,15 @@ use karakuri::manifest::{
 };
 use karakuri::{Model, blob::BlobParts, limits};
 
-use crate::calibrate::{CalibrationCase, Observed, calibrate};
 use crate::dataset::DatasetDescription;
 use crate::error::{Error, Result};
 use crate::float_model::{CodeTable, DenseLayer, FloatModel};
-use crate::mixture_set::MixtureSet;
-use crate::quantize_layer::{
+use crate::mixture::set::MixtureSet;
+use crate::quantize::calibrate::{CalibrationCase, Observed, calibrate};
+use crate::quantize::layer::{
     InputScale, IntegerLayer, activation_scale, quantize_layer, requantizer_of,
 };
-use crate::quantize_sampler::{code_fraction_bits, quantize_sampler};
+use crate::quantize::sampler::{code_fraction_bits, quantize_sampler};
 
 /// What becomes a blob.
 #[derive(Clone, Copy)]
@@ -505,7 +509,7 @@ fn emit(
     Ok(blob)
 }
 
-fn joints_of(skeleton: &crate::skeleton::Skeleton) -> impl Iterator<Item = Joint<'_>> {
+fn joints_of(skeleton: &crate::body::skeleton::Skeleton) -> impl Iterator<Item = Joint<'_>> {
     let joints = skeleton
         .names
         .iter()

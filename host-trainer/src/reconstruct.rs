@@ -11,11 +11,11 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::body::Body;
+use crate::body::rotation::{Rotation, Vector, length, subtract};
 use crate::checkpoint::Checkpoint;
 use crate::dataset::{Dataset, DatasetDescription};
 use crate::layout::GroupKind;
-use crate::metrics::report_unit;
-use crate::rotation::{Rotation, Vector, length, subtract};
+use crate::train::metrics::report_unit;
 
 /// Where poses come from.
 #[derive(Clone, Copy)]

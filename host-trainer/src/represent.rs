@@ -7,16 +7,18 @@
 //! Why here: the decoder learns what it is given. Positions are simplest and exact; rotations can
 //! be sent to motors and keep bones rigid.
 
+pub mod rotations;
+
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::body::Body;
+use crate::body::rotation::{Vector, subtract};
+use crate::body::skeleton::Skeleton;
 use crate::clip::{Clip, ClipSet};
 use crate::error::{Error, Result};
 use crate::layout::{Group, GroupKind, PoseLayout, Unit};
-use crate::represent_rotations::rotations;
-use crate::rotation::{Vector, subtract};
-use crate::skeleton::Skeleton;
+use crate::represent::rotations::rotations;
 
 pub use crate::body::to_joint_positions;
 
@@ -206,7 +208,7 @@ fn positions(mut clip_set: ClipSet, joints: Vec<Vec<Vec<Vector>>>) -> ClipSet {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::kinematics::joint_distances;
+    use crate::body::kinematics::joint_distances;
     use std::path::{Path, PathBuf};
 
     fn absolute_layout(joint_count: usize) -> PoseLayout {

@@ -7,6 +7,10 @@
 //! random numbers. A run of a number of steps ends in the same bytes whether it was interrupted or not, and with any
 //! number of threads; a run of minutes depends on the clock and cannot promise that.
 
+pub mod schedule;
+pub mod optimizer;
+pub mod metrics;
+
 pub mod batch;
 pub mod step;
 
@@ -23,8 +27,8 @@ use crate::checkpoint::{Checkpoint, dataset_hash, hexadecimal};
 use crate::config::TrainConfig;
 use crate::dataset::Dataset;
 use crate::error::{Error, Result};
-use crate::metrics::{MetricLine, MetricLog, MetricSums, plot_losses};
-use crate::schedule::{progress, rate_factor};
+use crate::train::metrics::{MetricLine, MetricLog, MetricSums, plot_losses};
+use crate::train::schedule::{progress, rate_factor};
 use step::Trainer;
 
 /// How a run is carried out; nothing here changes what a run of steps learns.

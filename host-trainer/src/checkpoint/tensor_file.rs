@@ -17,7 +17,7 @@ use serde_json::{Map, Value, json};
 use crate::atomic_file;
 use crate::error::{Error, Result};
 use crate::float_model::{CodeTable, DenseLayer};
-use crate::optimizer::CodeMoments;
+use crate::train::optimizer::CodeMoments;
 
 /// Values of one tensor, borrowed.
 #[derive(Clone, Copy)]

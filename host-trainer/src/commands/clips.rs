@@ -2,14 +2,14 @@
 
 use std::path::Path;
 
+use crate::body::rotation::Vector;
+use crate::body::skeleton::Skeleton;
 use crate::commands::inspect_clips::ImportArgs;
 use crate::config::TrainConfig;
 use crate::dataset::{self, Dataset, DatasetOptions};
 use crate::error::Result;
 use crate::import;
 use crate::represent::represent_with_bones;
-use crate::rotation::Vector;
-use crate::skeleton::Skeleton;
 
 /// A dataset and, for rotations found by inverse kinematics, every clip's own bones. // (clip, joint)
 pub struct ClipData {

@@ -20,8 +20,8 @@ use crate::dataset::{self, Dataset, DatasetOptions};
 use crate::error::{Error, Result};
 use crate::export::{self, ExportFormat};
 use crate::generate::{Request, generate_blob};
-use crate::inspect_blob::{BlobReport, load};
-use crate::mixture_file;
+use crate::inspect::blob::{BlobReport, load};
+use crate::mixture;
 use crate::picture;
 use crate::reconstruct::{Source, reconstruct};
 use crate::table::{Table, thousands};
@@ -82,7 +82,7 @@ pub fn run(args: &DemoArgs) -> Result<()> {
     let training_s = started.elapsed().as_secs_f64();
 
     eprintln!("3/6  mixtures over the codes");
-    let mixtures = mixture_file::of_checkpoint(&run, &checkpoint)?;
+    let mixtures = mixture::file::of_checkpoint(&run, &checkpoint)?;
 
     eprintln!("4/6  quantising");
     let mut products = Vec::new();

@@ -7,8 +7,8 @@ use crate::checkpoint::Checkpoint;
 use crate::error::{Error, Result};
 use crate::export::{self, ExportFormat, Motion};
 use crate::generate::{Request, generate_blob, generate_float};
-use crate::inspect_blob::{load, read_blob};
-use crate::mixture_file;
+use crate::inspect::blob::{load, read_blob};
+use crate::mixture;
 use crate::picture;
 
 /// Arguments of `generate`.
@@ -101,7 +101,7 @@ fn generate_all(args: &GenerateArgs) -> Result<Vec<Motion>> {
     });
     if args.source.is_dir() {
         let checkpoint = Checkpoint::load(&args.source)?;
-        let mixtures = mixture_file::of_checkpoint(&args.source, &checkpoint)?;
+        let mixtures = mixture::file::of_checkpoint(&args.source, &checkpoint)?;
         return requests
             .map(|request| generate_float(&checkpoint, &mixtures, &request))
             .collect();

@@ -8,9 +8,9 @@ use karakuri::manifest::{Provenance, SamplerKind};
 use crate::atomic_file::{self, Overwrite};
 use crate::checkpoint::Checkpoint;
 use crate::error::Result;
-use crate::inspect_blob::BlobReport;
-use crate::mixture_file;
-use crate::mixture_set::MixtureSet;
+use crate::inspect::blob::BlobReport;
+use crate::mixture;
+use crate::mixture::set::MixtureSet;
 use crate::quantize::{QuantizeInput, Quantized, quantize};
 
 /// Arguments of `quantize`.
@@ -82,7 +82,7 @@ pub fn run(args: &QuantizeArgs) -> Result<()> {
     let overwrite = Overwrite::from_force(args.force);
     atomic_file::check(&args.out, overwrite)?;
     let checkpoint = Checkpoint::load(&args.run)?;
-    let mixtures = mixture_file::of_checkpoint(&args.run, &checkpoint)?;
+    let mixtures = mixture::file::of_checkpoint(&args.run, &checkpoint)?;
     let name = args
         .run
         .file_name()

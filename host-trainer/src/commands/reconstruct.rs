@@ -8,8 +8,8 @@ use crate::checkpoint::{Checkpoint, dataset_hash};
 use crate::commands::clips::read_clip_data;
 use crate::commands::inspect_clips::ImportArgs;
 use crate::error::{Error, Result};
-use crate::inspect_blob::load;
-use crate::inspect_blob::read_blob;
+use crate::inspect::blob::load;
+use crate::inspect::blob::read_blob;
 use crate::reconstruct::{Reconstruction, Source, reconstruct};
 use crate::table::{Table, thousands};
 

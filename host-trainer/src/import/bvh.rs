@@ -18,9 +18,9 @@ use std::path::Path;
 use super::files::ClipFile;
 use super::resample::{resample, rounded_rate_hz};
 use super::{ImportOptions, Recordings, Remarks, check_poses, check_rate, with_progress};
+use crate::body::rotation::Rotation;
 use crate::error::{Error, Result};
 use crate::layout::Unit;
-use crate::rotation::Rotation;
 use joint_motion::JointMotion;
 use parser::{Bvh, Channel, Joint};
 

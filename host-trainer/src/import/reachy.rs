@@ -16,9 +16,9 @@ use serde::Deserialize;
 use super::files::ClipFile;
 use super::resample::{check_times, is_regular, resample};
 use super::{ImportOptions, Recordings, Remarks, check_poses, with_progress};
+use crate::body::rotation::{Rotation, dot};
 use crate::error::{Error, Result};
 use crate::layout::{Group, GroupKind, PoseLayout, Unit};
-use crate::rotation::{Rotation, dot};
 
 /// Poses per second that the robot's own player sends; `--fps` overrides it.
 pub const RATE_HZ: f64 = 50.0;

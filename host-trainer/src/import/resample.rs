@@ -6,9 +6,9 @@
 
 use std::path::Path;
 
+use crate::body::rotation::Rotation;
 use crate::error::{Error, Result};
 use crate::layout::{GroupKind, PoseLayout};
-use crate::rotation::Rotation;
 
 /// Largest distance between two recorded poses, seconds; interpolating across more would invent
 /// motion.

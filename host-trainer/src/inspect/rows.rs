@@ -3,9 +3,9 @@
 use std::ops::Range;
 
 use super::{JUMP_FACTOR, Place, RowReport};
+use crate::body::rotation::Rotation;
 use crate::clip::ClipSet;
 use crate::layout::{Group, GroupKind, PoseLayout};
-use crate::rotation::Rotation;
 
 /// More channels than this are reported by group: a screen has about as many lines.
 const CHANNEL_ROWS_MAX: usize = 32;

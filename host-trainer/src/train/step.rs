@@ -12,8 +12,8 @@ use crate::config::{CodeRows, DecoderStep, Reduction};
 use crate::dataset::Dataset;
 use crate::float_model::{CodeTable, Wanted, Workspace};
 use crate::layout::PoseLayout;
-use crate::optimizer::{Adam, CodeMoments, clip_scale, sum_of_squares};
 use crate::train::batch::{Batch, StepPosition};
+use crate::train::optimizer::{Adam, CodeMoments, clip_scale, sum_of_squares};
 
 /// What a step measured, before it moved anything.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -10,10 +10,10 @@ use std::path::Path;
 
 use super::super::{Recordings, Remarks};
 use super::parser::Joint;
+use crate::body::rotation::{Rotation, Vector, add, length, scale, subtract};
+use crate::body::skeleton::Skeleton;
 use crate::layout::{Group, GroupKind, PoseLayout, Unit};
 use crate::represent::ROOT_NAME;
-use crate::rotation::{Rotation, Vector, add, length, scale, subtract};
-use crate::skeleton::Skeleton;
 
 /// Numbers of a transform: translation x, y, z and the 6D rotation.
 const TRANSFORM_LEN: usize = 9;

@@ -10,9 +10,9 @@ use std::f64::consts::FRAC_PI_2;
 use std::fmt::Write;
 
 use crate::body::Body;
+use crate::body::rotation::{Rotation, Vector};
+use crate::body::skeleton::Skeleton;
 use crate::export::Motion;
-use crate::rotation::{Rotation, Vector};
-use crate::skeleton::Skeleton;
 
 /// Sine of the x angle above which z and y turn about one axis and only their sum is known.
 const GIMBAL_LOCK_SINE: f64 = 1.0 - 1e-12;

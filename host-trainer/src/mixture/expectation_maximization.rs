@@ -18,7 +18,7 @@ use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
 use faer::{Accum, Mat, MatMut, MatRef, Par};
 use rand::Rng;
 
-use crate::k_means::{Points, cluster};
+use crate::mixture::k_means::{Points, cluster};
 use crate::mixture::{Component, Covariance, Factor, Mixture, log_normal, log_sum_exp};
 
 /// Most rounds. Source: scikit-learn.

@@ -6,10 +6,10 @@
 //! Rotations are drawn as rotation vectors in degrees, which a reader can picture, and not as
 //! matrix elements.
 
+use crate::body::rotation::Rotation;
 use crate::export::Motion;
 use crate::layout::{Group, GroupKind, PoseLayout};
-use crate::rotation::Rotation;
-use crate::svg::{Anchor, FAINT, INK, PALETTE, Point, Svg, TextStyle, ticks};
+use crate::picture::svg::{Anchor, FAINT, INK, PALETTE, Point, Svg, TextStyle, ticks};
 
 const MARGIN: f64 = 28.0;
 const HEADER_HEIGHT: f64 = 64.0;

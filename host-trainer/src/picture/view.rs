@@ -3,9 +3,9 @@
 //! In:  joint positions of all motions of a picture; camera coordinates point y down, BVH y up, robots z up.
 //! Out: [`View`] to `stick_figures`.
 
-use crate::rotation::{Vector, cross, dot};
-use crate::skeleton::Skeleton;
-use crate::svg::Point;
+use crate::body::rotation::{Vector, cross, dot};
+use crate::body::skeleton::Skeleton;
+use crate::picture::svg::Point;
 
 /// Joint positions of one motion. // (frame, joint)
 pub type Frames = Vec<Vec<Vector>>;

@@ -48,7 +48,7 @@ pub struct IntervalMixture {
     /// Greatest number of poses served, inclusive.
     pub frames_max: usize,
     /// Rows of the code table that the mixture was fitted to; see
-    /// [`Interval`](crate::interval::Interval).
+    /// [`Interval`](crate::mixture::interval::Interval).
     pub clips: Vec<usize>,
     /// The density.
     pub mixture: Mixture,

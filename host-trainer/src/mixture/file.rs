@@ -26,10 +26,10 @@ use crate::atomic_file::{self, Overwrite};
 use crate::checkpoint::{Checkpoint, hexadecimal};
 use crate::dataset::DatasetDescription;
 use crate::error::{Error, Result};
-use crate::fit::fit;
 use crate::float_model::CodeTable;
+use crate::mixture::fit::fit;
+use crate::mixture::set::{Fallback, FitReport, IntervalMixture, MixtureSet};
 use crate::mixture::{Component, Covariance, Factor, Mixture, MixtureConfig};
-use crate::mixture_set::{Fallback, FitReport, IntervalMixture, MixtureSet};
 
 /// The file's name within the run's folder.
 pub const FILE_NAME: &str = "mixture.safetensors";

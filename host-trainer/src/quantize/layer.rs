@@ -8,8 +8,8 @@
 
 use karakuri::Requantizer;
 
-use crate::calibrate::Observed;
 use crate::float_model::DenseLayer;
+use crate::quantize::calibrate::Observed;
 
 /// How a layer's stored inputs map to real values: `real = scale · (stored − zero_point)`.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -6,14 +6,14 @@
 use rayon::prelude::*;
 
 use crate::body::Body;
+use crate::body::infer_skeleton::infer_skeleton;
+use crate::body::kinematics::{InverseKinematics, joint_distances, measure_offsets};
+use crate::body::rotation::{Vector, add, length, scale, subtract};
+use crate::body::skeleton::Skeleton;
 use crate::clip::ClipSet;
 use crate::error::Result;
-use crate::infer_skeleton::infer_skeleton;
-use crate::kinematics::{InverseKinematics, joint_distances, measure_offsets};
 use crate::layout::{GroupKind, Unit};
 use crate::represent::{body_layout, joint_names, source_of};
-use crate::rotation::{Vector, add, length, scale, subtract};
-use crate::skeleton::Skeleton;
 
 /// A bone counts as constant while its length varies by less than this part of its mean.
 const LENGTH_VARIATION_MAX: f64 = 1e-3;

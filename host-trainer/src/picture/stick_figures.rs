@@ -4,12 +4,12 @@
 //! In:  joint positions of motions (from `picture`).
 //! Out: SVG; all figures at one scale, every motion on its own floor line.
 
+use crate::body::rotation::{Vector, dot};
+use crate::body::skeleton::Skeleton;
 use crate::export::Motion;
 use crate::layout::Unit;
-use crate::rotation::{Vector, dot};
-use crate::skeleton::Skeleton;
-use crate::svg::{Anchor, FAINT, INK, MUTED, Point, Svg, TextStyle};
-use crate::view::{Frames, View};
+use crate::picture::svg::{Anchor, FAINT, INK, MUTED, Point, Svg, TextStyle};
+use crate::picture::view::{Frames, View};
 
 const MARGIN: f64 = 28.0;
 const HEADER_HEIGHT: f64 = 74.0;

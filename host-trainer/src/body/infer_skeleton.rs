@@ -11,9 +11,9 @@
 
 use std::path::Path;
 
+use crate::body::rotation::{Vector, length, subtract};
+use crate::body::skeleton::Skeleton;
 use crate::error::{Error, Result};
-use crate::rotation::{Vector, length, subtract};
-use crate::skeleton::Skeleton;
 
 /// How many times its length a pair costs more for each part of relative variation: 1 % of
 /// variation adds one half.
@@ -86,8 +86,8 @@ fn spanning_tree(costs: &[Vec<f64>]) -> Vec<Option<usize>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::kinematics::forward;
-    use crate::rotation::Rotation;
+    use crate::body::kinematics::forward;
+    use crate::body::rotation::Rotation;
 
     /// Poses of the arm and trunk of a body that bends at every joint, joints listed in `order`.
     fn poses(order: &[usize]) -> Vec<Vec<Vec<Vector>>> {

@@ -18,8 +18,10 @@
 
 use faer::{Mat, Side};
 
-use crate::rotation::{Rotation, Vector, add, any_perpendicular, length, scale, subtract, unit};
-use crate::skeleton::Skeleton;
+use crate::body::rotation::{
+    Rotation, Vector, add, any_perpendicular, length, scale, subtract, unit,
+};
+use crate::body::skeleton::Skeleton;
 
 /// Gap between the two largest eigenvalues, relative to their size, under which several child
 /// directions are one.
@@ -284,7 +286,7 @@ mod tests {
             rotation in any_rotation(),
             points in prop::collection::vec(prop::array::uniform3(-1.0..1.0f64), 3),
         ) {
-            let normal = crate::rotation::cross(
+            let normal = crate::body::rotation::cross(
                 subtract(points[1], points[0]), subtract(points[2], points[0]));
             prop_assume!(length(normal) > 0.1);
             let pairs: Vec<_> =

@@ -10,7 +10,7 @@ use karakuri::manifest::{SamplerKind, SamplerShape, TensorKind};
 
 use crate::float_model::CodeTable;
 use crate::mixture::Factor;
-use crate::mixture_set::{IntervalMixture, MixtureSet};
+use crate::mixture::set::{IntervalMixture, MixtureSet};
 
 /// Largest step towards a neighbour, as a share of the way.
 const STEP_MAX: f64 = 0.2;

@@ -23,10 +23,10 @@
 
 use rand_chacha::ChaCha8Rng;
 
-use crate::expectation_maximization::{Fit, Shape, fit_mixture};
-use crate::k_means::{Points, square_distance};
+use crate::mixture::expectation_maximization::{Fit, Shape, fit_mixture};
+use crate::mixture::k_means::{Points, square_distance};
+use crate::mixture::set::{Fallback, FitReport};
 use crate::mixture::{Covariance, Mixture, MixtureConfig};
-use crate::mixture_set::{Fallback, FitReport};
 
 /// Fits the most components of which none has collapsed; see the head of this file.
 ///

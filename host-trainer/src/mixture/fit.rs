@@ -20,14 +20,14 @@ use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
 use sha2::{Digest, Sha256};
 
-use crate::collapse::fit_sound_mixture;
 use crate::dataset::DatasetDescription;
 use crate::error::{Error, Result};
 use crate::float_model::CodeTable;
-use crate::interval::{Interval, IntervalSize, build_intervals};
-use crate::k_means::Points;
 use crate::mixture::MixtureConfig;
-use crate::mixture_set::{IntervalMixture, MixtureSet};
+use crate::mixture::collapse::fit_sound_mixture;
+use crate::mixture::interval::{Interval, IntervalSize, build_intervals};
+use crate::mixture::k_means::Points;
+use crate::mixture::set::{IntervalMixture, MixtureSet};
 
 /// Fits one mixture to every action and interval of lengths; a progress bar goes to stderr.
 ///
