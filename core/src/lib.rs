@@ -1,6 +1,56 @@
 #![no_std]
-//! Seeded motion for microcontrollers.
+#![doc = include_str!("../README.md")]
+#![deny(unsafe_code, missing_docs)]
+#![cfg_attr(
+    not(test),
+    deny(
+        clippy::indexing_slicing,
+        clippy::panic,
+        clippy::expect_used,
+        clippy::unwrap_used
+    )
+)]
 
+#[cfg(test)]
+extern crate std;
+
+// In the order of the data's journey: bytes, model, code, pose; what they share comes first.
+pub mod limits;
 pub mod pose_layout;
+mod error;
+mod little_endian;
+mod crc32;
+mod requantize;
+mod sine;
+mod elu;
+pub mod random;
+pub mod manifest;
+pub mod blob;
+mod layer;
+mod model;
+mod code;
+mod sampler;
+mod time_embedding;
+mod workspace;
+mod arithmetic;
+mod integer;
+#[cfg(feature = "f16")]
+mod half_float;
+mod decoder;
+mod pose;
+#[cfg(feature = "angles")]
+pub mod angles;
+#[cfg(test)]
+mod specimen;
 
+pub use code::Code;
+pub use decoder::Decoder;
+pub use error::{BlobError, SampleError};
+pub use manifest::NumberFormat;
+pub use model::{ActionId, Model};
+pub use pose::Pose;
 pub use pose_layout::{GroupKind, Unit};
+pub use random::Pcg32;
+pub use requantize::Requantizer;
+pub use time_embedding::FramePosition;
+pub use workspace::Workspace;

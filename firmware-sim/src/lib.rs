@@ -1,1 +1,34 @@
-//! Placeholder.
+//! Proves that the chip does what the float model did.
+//!
+//! Two questions, two verbs: does a chip compute the very bits that the host computes (`run`, in QEMU), and how far are
+//! those from the float model that was trained (`compare`)? The modules stand in the order of their journeys.
+
+pub mod error;
+
+// run: model → cases → firmware → QEMU → transcript → parity
+pub mod case;
+pub mod choose_cases;
+pub mod host;
+pub mod target;
+pub mod toolchain;
+pub mod firmware;
+pub mod qemu;
+pub mod transcript;
+pub mod parity;
+
+// compare: checkpoint → reference → pairs of poses → error table
+pub mod checkpoint;
+pub mod reference;
+pub mod rotation;
+pub mod error_table;
+pub mod compare;
+
+pub mod commands;
+
+#[cfg(test)]
+mod fixture;
+
+pub use compare::{Comparison, compare};
+pub use error::{Error, Result};
+pub use parity::{Parity, run_parity};
+pub use target::Target;

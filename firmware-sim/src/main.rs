@@ -1,1 +1,40 @@
-fn main() {}
+//! Command line of the simulator; every verb is a file in `commands/`.
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+use firmware_sim::commands::{compare, run};
+
+/// Proves that the chip does what the float model did.
+#[derive(Parser)]
+#[command(version, about, after_help = EXIT_CODES)]
+struct Arguments {
+    #[command(subcommand)]
+    verb: Verb,
+}
+
+const EXIT_CODES: &str = "Exit codes: 0 equal, 1 a difference beyond the format's promise, 2 wrong usage, 3 bad input, \
+    4 input/output, 5 bad blob, 6 missing tool, 7 firmware failed";
+
+#[derive(Subcommand)]
+enum Verb {
+    /// Run a blob on an emulated chip and compare its poses with the host's, bit by bit
+    Run(run::RunArgs),
+    /// Tabulate the error of a blob against the float model that it was made of
+    Compare(compare::CompareArgs),
+}
+
+fn main() -> ExitCode {
+    let outcome = match Arguments::parse().verb {
+        Verb::Run(arguments) => run::run(&arguments),
+        Verb::Compare(arguments) => compare::run(&arguments).map(|()| true),
+    };
+    match outcome {
+        Ok(true) => ExitCode::SUCCESS,
+        Ok(false) => ExitCode::FAILURE,
+        Err(error) => {
+            eprintln!("error: {error}");
+            ExitCode::from(error.exit_code())
+        }
+    }
+}

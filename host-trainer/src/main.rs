@@ -1,1 +1,60 @@
-fn main() {}
+//! The command line of the host side: one verb a station.
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+use host_trainer::commands::{bench, character, demo, generate, inspect, inspect_clips, quantize, reconstruct, train};
+use host_trainer::error::Result;
+
+/// Learns motion from clips and puts it into a blob for a microcontroller.
+#[derive(Debug, Parser)]
+#[command(version, about, arg_required_else_help = true)]
+#[command(after_help = "Start with:\n  host-trainer demo\n\nExit codes: 0 done, 2 wrong flags, 3 bad input, \
+    4 a file could not be read or written, 5 bad blob, 130 interrupted.")]
+struct Cli {
+    #[command(subcommand)]
+    verb: Verb,
+}
+
+#[derive(Debug, Subcommand)]
+enum Verb {
+    /// Run the whole path on the built-in character
+    Demo(demo::DemoArgs),
+    /// Write the built-in character's clips
+    Character(character::CharacterArgs),
+    /// Explain clips or a blob
+    Inspect(inspect_clips::InspectClipsArgs),
+    /// Train a decoder and codes
+    Train(train::TrainArgs),
+    /// Measure how well a run and its blobs give the training clips back
+    Reconstruct(reconstruct::ReconstructArgs),
+    /// Make a blob of a run
+    Quantize(quantize::QuantizeArgs),
+    /// Make new motions
+    Generate(generate::GenerateArgs),
+    /// Measure the speed of training
+    Bench(bench::BenchArgs),
+}
+
+fn main() -> ExitCode {
+    match run(&Cli::parse().verb) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error}");
+            ExitCode::from(error.exit_code())
+        }
+    }
+}
+
+fn run(verb: &Verb) -> Result<()> {
+    match verb {
+        Verb::Demo(args) => demo::run(args),
+        Verb::Character(args) => character::run(args),
+        Verb::Inspect(args) => inspect::run(args),
+        Verb::Train(args) => train::run(args),
+        Verb::Reconstruct(args) => reconstruct::run(args),
+        Verb::Quantize(args) => quantize::run(args),
+        Verb::Generate(args) => generate::run(args),
+        Verb::Bench(args) => bench::run(args),
+    }
+}

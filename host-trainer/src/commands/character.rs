@@ -113,7 +113,7 @@ fn is_ours(path: &Path) -> bool {
 }
 
 /// Writes everything beside `out` first and renames it into place.
-fn write_folder(out: &Path, set: &ClipSet, seed: u64) -> Result<()> {
+pub fn write_folder(out: &Path, set: &ClipSet, seed: u64) -> Result<()> {
     let parent = match out.parent() {
         Some(parent) if parent != Path::new("") => parent,
         _ => Path::new("."),

@@ -1,0 +1,162 @@
+//! What can be wrong with a blob or a request; nothing else in this crate can fail.
+
+use core::fmt;
+
+use crate::manifest::NumberFormat;
+
+/// Why a blob cannot be used. After `Model::from_bytes` has succeeded only [`WorkspaceTooSmall`](Self::WorkspaceTooSmall) remains.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum BlobError {
+    /// Fewer or more bytes than the header promises. Check the download, or the size of the flash region.
+    WrongLength {
+        /// Bytes given.
+        found: usize,
+        /// Bytes that the header promises (at least the header itself).
+        expected: usize,
+    },
+    /// The first four bytes are not `KRKR`. This is no blob, or it starts elsewhere.
+    WrongMagic,
+    /// Written by a newer host-trainer. Update this crate, or quantise again with the older one.
+    NewerVersion {
+        /// Version of the blob.
+        found: u16,
+        /// Newest version that this crate reads.
+        newest: u16,
+    },
+    /// The checksum does not fit: the bytes changed since they were written. Flash the blob again.
+    WrongChecksum {
+        /// CRC-32 in the header.
+        stored: u32,
+        /// CRC-32 of the bytes.
+        computed: u32,
+    },
+    /// A field of the manifest is not what it has to be. The file was made by something else than host-trainer.
+    BadField {
+        /// Name of the field.
+        field: &'static str,
+        /// Its value, or its position where it is one of many.
+        value: u32,
+    },
+    /// Larger than this crate's limits (see [`limits`](crate::limits)). Train a smaller preset.
+    OverLimit {
+        /// What is too large.
+        field: &'static str,
+        /// How large it is.
+        value: u32,
+        /// How large it may be.
+        max: u32,
+    },
+    /// A row's accumulator could overflow: the quantiser's certificate does not hold. Quantise again.
+    AccumulatorOverflow {
+        /// Index of the layer.
+        layer: usize,
+        /// Index of the row.
+        row: usize,
+    },
+    /// This build cannot decode the number format. Switch the crate's feature on, or quantise to another format.
+    FormatNotBuilt(NumberFormat),
+    /// The workspace is narrower than the widest layer.
+    WorkspaceTooSmall {
+        /// Width of the workspace.
+        width: usize,
+        /// Width that the model needs.
+        needed: usize,
+    },
+}
+
+impl fmt::Display for BlobError {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self::WrongLength { found, expected } => {
+                write!(out, "the blob is {found} bytes long, expected {expected}")
+            }
+            Self::WrongMagic => {
+                out.write_str("the first four bytes are not KRKR: not a karakuri blob")
+            }
+            Self::NewerVersion { found, newest } => {
+                write!(
+                    out,
+                    "format version {found} is newer than {newest}, the newest that is understood"
+                )
+            }
+            Self::WrongChecksum { stored, computed } => {
+                write!(
+                    out,
+                    "checksum {computed:08x} differs from the stored {stored:08x}: the bytes changed"
+                )
+            }
+            Self::BadField { field, value } => {
+                write!(out, "manifest field {field} is unusable ({value})")
+            }
+            Self::OverLimit { field, value, max } => {
+                write!(out, "{field} is {value}, at most {max} fit")
+            }
+            Self::AccumulatorOverflow { layer, row } => {
+                write!(
+                    out,
+                    "row {row} of layer {layer} could overflow its accumulator"
+                )
+            }
+            Self::FormatNotBuilt(format) => {
+                write!(
+                    out,
+                    "number format {} is not part of this build",
+                    format.name()
+                )
+            }
+            Self::WorkspaceTooSmall { width, needed } => {
+                write!(
+                    out,
+                    "the workspace is {width} wide, the model needs {needed}"
+                )
+            }
+        }
+    }
+}
+
+impl core::error::Error for BlobError {}
+
+/// Why no code could be sampled.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum SampleError {
+    /// The model has fewer actions. Look names up with `Model::action_by_name`.
+    UnknownAction {
+        /// Index asked for.
+        action: u16,
+        /// Number of actions of the model.
+        count: u16,
+    },
+    /// No clip of this action was that long or short. Clamp to `Model::trained_frames` if that is what you want.
+    OutsideTraining {
+        /// Frames asked for.
+        frames: u32,
+        /// Shortest trained motion.
+        frames_min: u32,
+        /// Longest trained motion.
+        frames_max: u32,
+    },
+}
+
+impl fmt::Display for SampleError {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self::UnknownAction { action, count } => {
+                write!(out, "action {action} does not exist, the model has {count}")
+            }
+            Self::OutsideTraining {
+                frames,
+                frames_min,
+                frames_max,
+            } => {
+                write!(
+                    out,
+                    "{frames} frames are outside the trained {frames_min} to {frames_max}"
+                )
+            }
+        }
+    }
+}
+
+impl core::error::Error for SampleError {}

@@ -1,0 +1,24 @@
+//! Every maximum of the device side, in one place.
+//!
+//! Why here: no heap means that somebody chose the sizes. A blob that needs more is refused by name at load.
+
+/// Layers of a decoder, the code half and the time half of layer 1 counted apart.
+pub const LAYERS_MAX: usize = 10;
+
+/// Channels of one pose; a [`Pose`](crate::Pose) takes 4 bytes for each.
+pub const CHANNELS_MAX: usize = 256;
+
+/// Numbers of one code, sequence part and action part together; a [`Code`](crate::Code) takes 2 bytes for each.
+pub const CODE_MAX: usize = 512;
+
+/// Sinusoids of the time embedding (two per frequency).
+pub const SINUSOIDS_MAX: usize = 512;
+
+/// Inputs or outputs of any one layer.
+pub const WIDTH_MAX: usize = 4096;
+
+/// Groups of a layout, actions, and joints of a skeleton: none is stored in RAM, the limit only rejects nonsense.
+pub const NAMES_MAX: usize = 1024;
+
+// The time half of layer 1 must be able to leave room for the folded code half in a 32-bit accumulator.
+const _: () = assert!(127 * SINUSOIDS_MAX as i64 * 32_767 < i32::MAX as i64);

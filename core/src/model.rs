@@ -1,0 +1,560 @@
+//! Station 7: a checked, borrowed view of a blob. Weights stay where they are, in flash.
+//!
+//! In:  bytes, at any alignment.
+//! Out: layers and tables to `decoder.rs` and `sampler.rs`; names and units to the application.
+//!
+//! Why here: everything that can be wrong is found once, in `Model::from_bytes`; decoding cannot fail afterwards.
+
+use crate::blob::{Envelope, aligned};
+use crate::code::Code;
+use crate::error::{BlobError, SampleError};
+use crate::layer::Layer;
+use crate::limits::{CHANNELS_MAX, CODE_MAX, LAYERS_MAX, NAMES_MAX, SINUSOIDS_MAX, WIDTH_MAX};
+use crate::manifest::{
+    CODE_LAYER, Group, Joint, LayerShape, Manifest, NumberFormat, Provenance, SamplerKind,
+    TIME_LAYER, TensorKind, tensor_plan,
+};
+use crate::sampler::Sampler;
+
+/// Index of an action; the order of [`Model::actions`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct ActionId(pub u16);
+
+/// A checked model. Copies nothing of the blob but its manifest (a few hundred bytes).
+#[derive(Clone, Debug)]
+pub struct Model<'a> {
+    manifest: Manifest<'a>,
+    /// Postcard of groups, action names and joints.
+    names: &'a [u8],
+    pub(crate) frequencies: &'a [u8],
+    pub(crate) sampler: Sampler<'a>,
+    /// Code half of layer 1, time half of layer 1, then the others.
+    pub(crate) layers: heapless::Vec<Layer<'a>, LAYERS_MAX>,
+}
+
+impl<'a> Model<'a> {
+    /// Checks a blob completely.
+    ///
+    /// # Errors
+    /// A [`BlobError`] that names what is wrong; see its variants for what to do.
+    ///
+    /// # Cost
+    /// Reads every byte about twice: CRC-32, then the accumulator certificate of each row.
+    pub fn from_bytes(bytes: &'a [u8]) -> Result<Self, BlobError> {
+        let envelope = Envelope::parse(bytes)?;
+        let (manifest, names) = postcard::take_from_bytes::<Manifest<'a>>(envelope.descriptions)
+            .map_err(|_| BlobError::BadField {
+                field: "manifest",
+                value: 0,
+            })?;
+        check_limits(&manifest)?;
+        check_shapes(&manifest)?;
+        let mut model = Self::slice_tensors(&envelope, manifest, names)?;
+        model.check_names()?;
+        model.sampler.check()?;
+        let format = model.manifest.number_format;
+        for (index, layer) in model.layers.iter_mut().enumerate() {
+            layer.check(index, format)?;
+        }
+        Ok(model)
+    }
+
+    /// Cuts the blob into tensors by the manifest's plan; the plan must end exactly where the blob ends.
+    fn slice_tensors(
+        envelope: &Envelope<'a>,
+        manifest: Manifest<'a>,
+        names: &'a [u8],
+    ) -> Result<Self, BlobError> {
+        let found = envelope.bytes.len();
+        let (mut frequencies, mut sampler) = (&[][..], Sampler::new(&manifest));
+        let mut layers: heapless::Vec<Layer<'a>, LAYERS_MAX> = manifest
+            .layers
+            .iter()
+            .map(|&shape| Layer::new(shape))
+            .collect();
+        let mut end = envelope.tensors_start();
+        for (kind, length) in tensor_plan(&manifest) {
+            let start = aligned(end);
+            end = start + length;
+            let expected = usize::try_from(end).unwrap_or(usize::MAX);
+            let tensor = usize::try_from(start)
+                .ok()
+                .and_then(|start| envelope.bytes.get(start..expected))
+                .ok_or(BlobError::WrongLength { found, expected })?;
+            match kind {
+                TensorKind::Frequencies => frequencies = tensor,
+                TensorKind::Weights(index)
+                | TensorKind::Bias(index)
+                | TensorKind::Multipliers(index)
+                | TensorKind::Shifts(index) => {
+                    if let Some(layer) = layers.get_mut(index) {
+                        layer.set_tensor(kind, tensor);
+                    }
+                }
+                _ => sampler.set_tensor(kind, tensor),
+            }
+        }
+        if end != found as u64 {
+            let expected = usize::try_from(end).unwrap_or(usize::MAX);
+            return Err(BlobError::WrongLength { found, expected });
+        }
+        Ok(Self {
+            manifest,
+            names,
+            frequencies,
+            sampler,
+            layers,
+        })
+    }
+
+    /// Walks all names once, so that the iterators below cannot meet a broken one later.
+    fn check_names(&self) -> Result<(), BlobError> {
+        let bad = |field, value: usize| BlobError::BadField {
+            field,
+            value: value as u32,
+        };
+        let channels: usize = self.groups().map(|group| group.kind.channel_count()).sum();
+        if self.groups().count() != usize::from(self.manifest.group_count) {
+            return Err(bad("groups", self.groups().count()));
+        }
+        if channels != self.channel_count() {
+            return Err(bad("channels of the layout", channels));
+        }
+        if self.actions().count() != usize::from(self.manifest.action_count) {
+            return Err(bad("actions", self.actions().count()));
+        }
+        if self.joints().count() != usize::from(self.manifest.joint_count) {
+            return Err(bad("joints", self.joints().count()));
+        }
+        let parent_follows = |(index, joint): (usize, Joint<'_>)| match joint.parent {
+            Some(parent) => usize::from(parent) >= index,
+            None => index != 0,
+        };
+        match self.joints().enumerate().position(parent_follows) {
+            Some(index) => Err(bad("joint parent", index)),
+            None if self.joint_stream().trailing().is_empty() => Ok(()),
+            None => Err(bad(
+                "bytes after the names",
+                self.joint_stream().trailing().len(),
+            )),
+        }
+    }
+
+    /// Groups of the layout, in channel order.
+    pub fn groups(&self) -> impl Iterator<Item = Group<'a>> + use<'a> {
+        Names::<Group<'a>>::new(self.names, self.manifest.group_count)
+    }
+
+    /// Names of the actions, in the order of [`ActionId`].
+    pub fn actions(&self) -> impl Iterator<Item = &'a str> + use<'a> {
+        let groups = Names::<Group<'a>>::new(self.names, self.manifest.group_count);
+        Names::new(groups.trailing(), self.manifest.action_count)
+    }
+
+    /// Joints of the skeleton; none when the model has no skeleton.
+    pub fn joints(&self) -> impl Iterator<Item = Joint<'a>> + use<'a> {
+        let groups = Names::<Group<'a>>::new(self.names, self.manifest.group_count);
+        let actions = Names::<&str>::new(groups.trailing(), self.manifest.action_count);
+        Names::new(actions.trailing(), self.manifest.joint_count)
+    }
+
+    fn joint_stream(&self) -> Names<'a, Joint<'a>> {
+        let groups = Names::<Group<'a>>::new(self.names, self.manifest.group_count);
+        let actions = Names::<&str>::new(groups.trailing(), self.manifest.action_count);
+        Names::new(actions.trailing(), self.manifest.joint_count)
+    }
+
+    /// The action with this name.
+    pub fn action_by_name(&self, name: &str) -> Option<ActionId> {
+        let index = self.actions().position(|action| action == name)?;
+        u16::try_from(index).ok().map(ActionId)
+    }
+
+    /// Shortest and longest trained motion of an action, in frames; both 0 when there is no such action.
+    pub fn trained_frames(&self, action: ActionId) -> core::ops::RangeInclusive<u32> {
+        self.sampler.trained_frames(action)
+    }
+
+    /// Draws the code of a new motion. Any generator serves: `&mut || rng.next_u32()`.
+    ///
+    /// # Errors
+    /// [`SampleError`]: no such action, or a length that was never trained.
+    pub fn sample(
+        &self,
+        action: ActionId,
+        frames: u32,
+        random: &mut impl FnMut() -> u32,
+    ) -> Result<Code, SampleError> {
+        self.sampler.sample(action, frames, random)
+    }
+
+    /// A code from floats (β then α), rounded to nearest, saturated; numbers beyond the model's are dropped, missing
+    /// ones are 0. For hosts: the device draws its codes with [`sample`](Self::sample).
+    pub fn code_from_f32(&self, values: &[f32]) -> Code {
+        let one = (1u32 << self.manifest.code_fraction_bits) as f32;
+        let given = values.iter().copied().chain(core::iter::repeat(0.0));
+        let round = |value: f32| {
+            let scaled = value * one;
+            (if scaled < 0.0 {
+                scaled - 0.5
+            } else {
+                scaled + 0.5
+            }) as i16
+        };
+        Code {
+            values: given.take(self.code_count()).map(round).collect(),
+        }
+    }
+
+    /// The numbers of a code (β then α) as floats, exact.
+    pub fn code_to_f32(&self, code: &Code) -> impl Iterator<Item = f32> {
+        let one = (1u32 << self.manifest.code_fraction_bits) as f32;
+        code.values
+            .clone()
+            .into_iter()
+            .map(move |value| f32::from(value) / one)
+    }
+
+    /// Everything of fixed size that the blob says about itself.
+    pub fn manifest(&self) -> &Manifest<'a> {
+        &self.manifest
+    }
+
+    /// How weights and activations are stored.
+    pub fn number_format(&self) -> NumberFormat {
+        self.manifest.number_format
+    }
+
+    /// Poses per 1000 s.
+    pub fn rate_millihz(&self) -> u32 {
+        self.manifest.rate_millihz
+    }
+
+    /// Where the model comes from.
+    pub fn provenance(&self) -> Provenance {
+        self.manifest.provenance
+    }
+
+    /// Channels of a pose.
+    pub fn channel_count(&self) -> usize {
+        self.manifest
+            .layers
+            .last()
+            .map_or(0, |shape| usize::from(shape.output_count))
+    }
+
+    /// Numbers of a code, β and α together.
+    pub fn code_count(&self) -> usize {
+        usize::from(self.manifest.sequence_code_count)
+            + usize::from(self.manifest.action_code_count)
+    }
+
+    /// Width of the [`Workspace`](crate::Workspace) that the model needs.
+    pub fn workspace_width(&self) -> usize {
+        let time_and_hidden = self.manifest.layers.iter().skip(TIME_LAYER);
+        time_and_hidden
+            .map(|shape| shape.input_count.max(shape.output_count))
+            .max()
+            .map_or(0, usize::from)
+    }
+
+    /// Multiply-accumulates to begin a motion (the code half of layer 1).
+    pub fn multiply_accumulates_per_motion(&self) -> u64 {
+        self.manifest
+            .layers
+            .get(CODE_LAYER)
+            .map_or(0, multiply_accumulates)
+    }
+
+    /// Multiply-accumulates of one pose.
+    pub fn multiply_accumulates_per_pose(&self) -> u64 {
+        self.manifest
+            .layers
+            .iter()
+            .skip(TIME_LAYER)
+            .map(multiply_accumulates)
+            .sum()
+    }
+}
+
+fn multiply_accumulates(shape: &LayerShape) -> u64 {
+    u64::from(shape.input_count) * u64::from(shape.output_count)
+}
+
+fn check_limits(manifest: &Manifest<'_>) -> Result<(), BlobError> {
+    let widest = manifest
+        .layers
+        .iter()
+        .map(|shape| shape.input_count.max(shape.output_count))
+        .max();
+    let channels = manifest.layers.last().map_or(0, |shape| shape.output_count);
+    let code_count =
+        u32::from(manifest.sequence_code_count) + u32::from(manifest.action_code_count);
+    let limited = [
+        ("groups", u32::from(manifest.group_count), NAMES_MAX),
+        ("actions", u32::from(manifest.action_count), NAMES_MAX),
+        ("joints", u32::from(manifest.joint_count), NAMES_MAX),
+        ("numbers of a code", code_count, CODE_MAX),
+        (
+            "sinusoids",
+            2 * u32::from(manifest.frequency_count),
+            SINUSOIDS_MAX,
+        ),
+        ("channels", u32::from(channels), CHANNELS_MAX),
+        ("layer width", u32::from(widest.unwrap_or(0)), WIDTH_MAX),
+        (
+            "code fraction bits",
+            u32::from(manifest.code_fraction_bits),
+            15,
+        ),
+        (
+            "components",
+            manifest.sampler.component_count,
+            u16::MAX as usize,
+        ),
+        (
+            "step towards a neighbour",
+            manifest.sampler.step_max_q16,
+            1 << 16,
+        ),
+    ];
+    match limited
+        .into_iter()
+        .find(|&(_, value, max)| value as usize > max)
+    {
+        Some((field, value, max)) => Err(BlobError::OverLimit {
+            field,
+            value,
+            max: max as u32,
+        }),
+        None => Ok(()),
+    }
+}
+
+/// Every layer must take what the one before it gives.
+fn check_shapes(manifest: &Manifest<'_>) -> Result<(), BlobError> {
+    let bad = |field, value: usize| {
+        Err(BlobError::BadField {
+            field,
+            value: value as u32,
+        })
+    };
+    let code_count = manifest.sequence_code_count + manifest.action_code_count;
+    let layers = &manifest.layers;
+    let (Some(code_layer), Some(time_layer)) = (layers.get(CODE_LAYER), layers.get(TIME_LAYER))
+    else {
+        return bad("layers", layers.len());
+    };
+    if layers.len() < 3 {
+        return bad("layers", layers.len());
+    }
+    if let Some(index) = layers
+        .iter()
+        .position(|shape| shape.input_count == 0 || shape.output_count == 0)
+    {
+        return bad("empty layer", index);
+    }
+    if code_layer.input_count != code_count || code_layer.output_count != time_layer.output_count {
+        return bad("shape of layer", CODE_LAYER);
+    }
+    if time_layer.input_count != 2 * manifest.frequency_count {
+        return bad("shape of layer", TIME_LAYER);
+    }
+    let pairs = layers
+        .iter()
+        .zip(layers.iter().skip(1))
+        .enumerate()
+        .skip(TIME_LAYER);
+    for (index, (layer, next)) in pairs {
+        if layer.output_count != next.input_count {
+            return bad("shape of layer", index + 1);
+        }
+    }
+    if manifest.rate_millihz == 0 {
+        return bad("rate", 0);
+    }
+    let diagonal = manifest.sampler.kind == SamplerKind::DiagonalMixture;
+    if diagonal && manifest.sampler.step_max_q16 != 0 {
+        return bad(
+            "step of a diagonal mixture",
+            manifest.sampler.step_max_q16 as usize,
+        );
+    }
+    Ok(())
+}
+
+/// Postcard values that lie one after another; ends early at a broken one.
+struct Names<'a, Item> {
+    bytes: &'a [u8],
+    remaining: u16,
+    item: core::marker::PhantomData<Item>,
+}
+
+impl<'a, Item: serde::Deserialize<'a>> Names<'a, Item> {
+    fn new(bytes: &'a [u8], count: u16) -> Self {
+        Self {
+            bytes,
+            remaining: count,
+            item: core::marker::PhantomData,
+        }
+    }
+
+    /// The bytes after the last item.
+    fn trailing(mut self) -> &'a [u8] {
+        while self.next().is_some() {}
+        self.bytes
+    }
+}
+
+impl<'a, Item: serde::Deserialize<'a>> Iterator for Names<'a, Item> {
+    type Item = Item;
+
+    fn next(&mut self) -> Option<Item> {
+        self.remaining = self.remaining.checked_sub(1)?;
+        let (item, rest) = postcard::take_from_bytes(self.bytes).ok()?;
+        self.bytes = rest;
+        Some(item)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::string::ToString;
+    use std::vec::Vec;
+
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::blob::{HEADER_BYTES, VERSION};
+    use crate::specimen::specimen;
+
+    fn w8a16() -> Vec<u8> {
+        specimen(NumberFormat::W8A16, SamplerKind::ClipCodes)
+    }
+
+    #[test]
+    fn blob_cut_at_every_length_is_rejected() {
+        let blob = w8a16();
+        for length in 0..blob.len() {
+            assert!(
+                Model::from_bytes(&blob[..length]).is_err(),
+                "{length} bytes were accepted"
+            );
+        }
+    }
+
+    #[test]
+    fn blob_with_any_single_byte_changed_is_rejected() {
+        for format in NumberFormat::ALL {
+            let mut blob = specimen(format, SamplerKind::DiagonalMixture);
+            for index in 0..blob.len() {
+                for flip in [1u8, 0x80, 0xFF] {
+                    blob[index] ^= flip;
+                    assert!(Model::from_bytes(&blob).is_err(), "byte {index} ^ {flip}");
+                    blob[index] ^= flip;
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn blob_with_trailing_bytes_is_rejected() {
+        let mut blob = w8a16();
+        blob.push(0);
+        assert!(matches!(
+            Model::from_bytes(&blob),
+            Err(BlobError::WrongLength { .. })
+        ));
+    }
+
+    #[test]
+    fn blob_of_a_newer_version_is_named() {
+        let mut blob = w8a16();
+        blob[4..6].copy_from_slice(&(VERSION + 1).to_le_bytes());
+        let error = Model::from_bytes(&blob).unwrap_err();
+        assert_eq!(
+            error,
+            BlobError::NewerVersion {
+                found: VERSION + 1,
+                newest: VERSION
+            }
+        );
+        assert!(error.to_string().contains("newer"));
+    }
+
+    #[test]
+    fn blob_loads_at_every_alignment() {
+        let blob = w8a16();
+        for offset in 0..16 {
+            let mut shifted = std::vec![0; offset];
+            shifted.extend(&blob);
+            assert!(
+                Model::from_bytes(&shifted[offset..]).is_ok(),
+                "offset {offset}"
+            );
+        }
+    }
+
+    #[test]
+    fn blob_describes_itself() {
+        let blob = w8a16();
+        let model = Model::from_bytes(&blob).unwrap();
+        assert_eq!(model.actions().collect::<Vec<_>>(), ["nod", "walk"]);
+        assert_eq!(
+            model.groups().map(|group| group.name).collect::<Vec<_>>(),
+            ["root", "jaw"]
+        );
+        assert_eq!(
+            model.joints().map(|joint| joint.parent).collect::<Vec<_>>(),
+            [None, Some(0)]
+        );
+        assert_eq!(model.action_by_name("walk"), Some(ActionId(1)));
+        assert_eq!(model.action_by_name("fly"), None);
+        assert_eq!(model.trained_frames(ActionId(0)), 10..=30);
+        assert_eq!(
+            (
+                model.channel_count(),
+                model.code_count(),
+                model.workspace_width()
+            ),
+            (4, 5, 8)
+        );
+        assert_eq!(model.multiply_accumulates_per_motion(), 30);
+        assert_eq!(model.multiply_accumulates_per_pose(), 48 + 42 + 28);
+    }
+
+    #[test]
+    fn code_survives_the_way_through_floats() {
+        let blob = w8a16();
+        let model = Model::from_bytes(&blob).unwrap();
+        let code = model.sample(ActionId(1), 45, &mut || 0x1234_5678).unwrap();
+        let floats: Vec<f32> = model.code_to_f32(&code).collect();
+        assert_eq!(model.code_from_f32(&floats), code);
+    }
+
+    proptest! {
+        #[test]
+        fn arbitrary_bytes_never_panic(bytes in prop::collection::vec(any::<u8>(), 0..600)) {
+            let _ = Model::from_bytes(&bytes);
+        }
+
+        /// Past the checksum every field is still checked: damage the inside and seal it again.
+        #[test]
+        fn sealed_damage_never_panics(index in HEADER_BYTES..400usize, value: u8, seed: u32) {
+            let mut blob = w8a16();
+            let index = index % blob.len();
+            blob[index] = value;
+            crate::blob::seal_again(&mut blob);
+            if let Ok(model) = Model::from_bytes(&blob) {
+                for action in 0..3 {
+                    let _ = model.sample(ActionId(action), *model.trained_frames(ActionId(action)).start(), &mut || seed);
+                }
+                let mut workspace = crate::Workspace::<64>::new();
+                if let Ok(mut decoder) = crate::Decoder::new(&model, &mut workspace) {
+                    decoder.start(&crate::Code::default());
+                    decoder.decode(crate::FramePosition::from_bits(seed), &mut crate::Pose::new());
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,178 @@
+//! A small model for the tests of this crate: two actions, four channels, weights from a generator.
+
+use std::vec;
+use std::vec::Vec;
+
+use crate::blob::BlobParts;
+use crate::manifest::*;
+use crate::pose_layout::{GroupKind, Unit};
+use crate::random::Pcg32;
+use crate::requantize::Requantizer;
+
+const SEQUENCE_CODE: usize = 3;
+const ACTION_CODE: usize = 2;
+const FREQUENCIES: usize = 4;
+const COMPONENTS: usize = 5;
+
+/// (in, out) of code half, time half, hidden, output.
+const SHAPES: [(u16, u16); 4] = [(5, 6), (8, 6), (6, 7), (7, 4)];
+
+/// Bytes of the specimen.
+pub fn specimen(format: NumberFormat, kind: SamplerKind) -> Vec<u8> {
+    let manifest = manifest(format, kind);
+    let mut random = Pcg32::new(42);
+    let plan: Vec<_> = tensor_plan(&manifest).collect();
+    let tensors: Vec<(TensorKind, Vec<u8>)> = plan
+        .iter()
+        .map(|&(kind, length)| (kind, tensor(kind, length as usize, format, &mut random)))
+        .collect();
+    let tensors: Vec<(TensorKind, &[u8])> = tensors
+        .iter()
+        .map(|(kind, bytes)| (*kind, bytes.as_slice()))
+        .collect();
+    let groups = [
+        Group {
+            name: "root",
+            kind: GroupKind::Translation,
+            unit: Unit::Metre,
+        },
+        Group {
+            name: "jaw",
+            kind: GroupKind::Scalar,
+            unit: Unit::Degree,
+        },
+    ];
+    let joints = [
+        Joint {
+            name: "hip",
+            parent: None,
+            offset: [0.0; 3],
+        },
+        Joint {
+            name: "head",
+            parent: Some(0),
+            offset: [0.0, 1.5, 0.0],
+        },
+    ];
+    let actions = ["nod", "walk"];
+    let parts = BlobParts {
+        manifest: &manifest,
+        groups: &groups,
+        actions: &actions,
+        joints: &joints,
+        tensors: &tensors,
+    };
+    let mut blob = vec![0xAA; 4096];
+    let length = parts.emit(&mut blob).unwrap();
+    blob.truncate(length);
+    blob
+}
+
+fn manifest(format: NumberFormat, kind: SamplerKind) -> Manifest<'static> {
+    let requantizer = ActivationScale {
+        multiplier: 1 << 30,
+        shift: -4,
+        zero_point: 0,
+    };
+    let layers = SHAPES.map(|(input_count, output_count)| LayerShape {
+        input_count,
+        output_count,
+        activation: requantizer,
+    });
+    Manifest {
+        name: "specimen",
+        number_format: format,
+        packing: Packing::RowMajor,
+        rate_millihz: 50_000,
+        group_count: 2,
+        action_count: 2,
+        joint_count: 2,
+        sequence_code_count: SEQUENCE_CODE as u16,
+        action_code_count: ACTION_CODE as u16,
+        code_fraction_bits: 11,
+        frequency_count: FREQUENCIES as u16,
+        layers: layers.into_iter().collect(),
+        sampler: SamplerShape {
+            kind,
+            component_count: COMPONENTS as u32,
+            member_count: 5,
+            interval_count: 3,
+            step_max_q16: if kind == SamplerKind::ClipCodes {
+                13_107
+            } else {
+                0
+            },
+        },
+        provenance: Provenance {
+            config_hash: [7; 32],
+            seed: 9,
+        },
+    }
+}
+
+fn tensor(kind: TensorKind, length: usize, format: NumberFormat, random: &mut Pcg32) -> Vec<u8> {
+    let noise = |random: &mut Pcg32| (random.next_u32() >> 24) as u8;
+    match kind {
+        TensorKind::Frequencies => [1u32 << 27, 1 << 25, 1 << 23, 1 << 20]
+            .iter()
+            .flat_map(|step| step.to_le_bytes())
+            .collect(),
+        TensorKind::ComponentSteps => [5000i32; SEQUENCE_CODE]
+            .iter()
+            .flat_map(|x| x.to_le_bytes())
+            .collect(),
+        TensorKind::DeviationSteps => [30_000i32; SEQUENCE_CODE]
+            .iter()
+            .flat_map(|x| x.to_le_bytes())
+            .collect(),
+        TensorKind::Members => {
+            let members: [[u16; 2]; 5] = [
+                [0, 30_000],
+                [1, 65_535],
+                [2, 65_535],
+                [3, 40_000],
+                [4, 65_535],
+            ];
+            members
+                .iter()
+                .flatten()
+                .flat_map(|x| x.to_le_bytes())
+                .collect()
+        }
+        TensorKind::Intervals => [
+            interval(0, 10..=19, 0, 2),
+            interval(0, 20..=30, 2, 1),
+            interval(1, 40..=50, 3, 2),
+        ]
+        .concat(),
+        TensorKind::Weights(_) if format == NumberFormat::F16 => (0..length / 2)
+            .flat_map(|_| (0x3000 | (random.next_u32() as u16 & 0x83FF)).to_le_bytes())
+            .collect(),
+        TensorKind::Bias(_) if format == NumberFormat::F16 => (0..length / 4)
+            .flat_map(|_| (f32::from(noise(random)) / 256.0).to_le_bytes())
+            .collect(),
+        TensorKind::Bias(_) => (0..length / 4)
+            .flat_map(|_| (random.next_u32() as i32 >> 14).to_le_bytes())
+            .collect(),
+        TensorKind::Multipliers(_) => (0..length / 4)
+            .flat_map(|_| (3i32 << 29).to_le_bytes())
+            .collect(),
+        TensorKind::Shifts(_) => vec![(-3i8).cast_unsigned(); length],
+        _ => (0..length).map(|_| noise(random)).collect(),
+    }
+}
+
+fn interval(
+    action: u16,
+    frames: core::ops::RangeInclusive<u16>,
+    first: u32,
+    count: u32,
+) -> Vec<u8> {
+    let halves = [action, *frames.start(), *frames.end(), 4096]
+        .map(u16::to_le_bytes)
+        .concat();
+    [halves, [first, count].map(u32::to_le_bytes).concat()].concat()
+}
+
+/// The factor that [`manifest`] stores, checked here so that a change of the type cannot invalidate the specimen.
+const _: () = assert!(Requantizer::new(1 << 30, -4).is_some());

@@ -1,0 +1,111 @@
+//! Time → sinusoids: one 32-bit phase per frequency, random access, no drift.
+//!
+//! In:  a frame position; the phase step per frame of every frequency, from the blob.
+//! Out: the input of the time half of layer 1.
+//!
+//! Source: MotionINR's table [sin(w_0 t), cos(w_0 t), sin(w_1 t), …]; here t may be fractional, as the paper says
+//! and its code does not allow.
+
+use crate::little_endian::u32s;
+use crate::sine::{QUARTER_TURN, sine_q15};
+
+/// A point in a motion, in frames from its start: Q16.16, so fractions of a frame are allowed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub struct FramePosition(u32);
+
+impl FramePosition {
+    /// A whole frame (wraps at 65,536).
+    pub const fn from_frames(frames: u32) -> Self {
+        Self(frames << 16)
+    }
+
+    /// Frames in Q16.16.
+    pub const fn from_bits(bits: u32) -> Self {
+        Self(bits)
+    }
+
+    /// Frames in Q16.16.
+    pub const fn to_bits(self) -> u32 {
+        self.0
+    }
+
+    /// Where a motion of `rate_millihz` poses per 1000 s is after `elapsed_us` microseconds; saturates.
+    ///
+    /// # Accuracy
+    /// Truncated to 2^-16 of a frame, from the exact product: errors do not add up over ticks.
+    pub fn after_us(elapsed_us: u32, rate_millihz: u32) -> Self {
+        let product = u64::from(elapsed_us) * u64::from(rate_millihz);
+        let (frames, rest) = (product / 1_000_000_000, product % 1_000_000_000);
+        let frames_q16 = (frames << 16) + ((rest << 16) / 1_000_000_000);
+        Self(u32::try_from(frames_q16).unwrap_or(u32::MAX))
+    }
+
+    /// Phase of a sinusoid that advances by `step` per frame; a turn is 2^32.
+    const fn phase(self, step: u32) -> u32 {
+        ((self.0 as u64 * step as u64) >> 16) as u32
+    }
+}
+
+/// Writes `[sin, cos]` of every frequency into `output`, in Q0.15, each passed through `store`.
+///
+/// # Shapes
+/// `steps` (pair) u32, turns per frame · 2^32 · `output` (2 · pair)
+pub(crate) fn embed<Value>(
+    position: FramePosition,
+    steps: &[u8],
+    output: &mut [Value],
+    store: impl Fn(i16) -> Value,
+) {
+    for (pair, step) in output.chunks_exact_mut(2).zip(u32s(steps)) {
+        let phase = position.phase(step);
+        if let [sine, cosine] = pair {
+            *sine = store(sine_q15(phase));
+            *cosine = store(sine_q15(phase.wrapping_add(QUARTER_TURN)));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{FramePosition, embed};
+
+    #[test]
+    fn embedding_follows_the_paper_at_whole_and_fractional_frames() {
+        for (pair, rate_rad) in [(0, 1.0), (1, 0.93), (2, 1e-4)] {
+            let step = (rate_rad / core::f64::consts::TAU * 4_294_967_296.0) as u32;
+            for bits in [0, 1 << 16, 470 << 16, (123 << 16) + 32_768, 4000 << 16] {
+                let mut output = [0i16; 2];
+                embed(
+                    FramePosition::from_bits(bits),
+                    &step.to_le_bytes(),
+                    &mut output,
+                    |x| x,
+                );
+                let angle = rate_rad * f64::from(bits) / 65_536.0;
+                let [sine, cosine] = output.map(|x| f64::from(x) / 32_767.0);
+                assert!(
+                    (sine - libm::sin(angle)).abs() < 4e-5,
+                    "pair {pair} at {bits}"
+                );
+                assert!(
+                    (cosine - libm::cos(angle)).abs() < 4e-5,
+                    "pair {pair} at {bits}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn position_after_an_hour_is_exact() {
+        let hour = FramePosition::after_us(3_600_000_000, 10_000);
+        assert_eq!(hour, FramePosition::from_frames(36_000));
+    }
+
+    #[test]
+    fn position_saturates() {
+        assert_eq!(
+            FramePosition::after_us(u32::MAX, u32::MAX).to_bits(),
+            u32::MAX
+        );
+    }
+}

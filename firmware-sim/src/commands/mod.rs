@@ -1,0 +1,36 @@
+//! One file per verb of the command line: reads files, shows progress, prints the result.
+
+pub mod compare;
+pub mod run;
+
+use std::fs;
+use std::io;
+use std::path::Path;
+use std::time::Duration;
+
+use indicatif::{ProgressBar, ProgressStyle};
+use serde::Serialize;
+
+use crate::error::{Error, Result};
+
+/// A bar on standard error that also shows life while nothing is counted.
+fn progress_bar() -> ProgressBar {
+    let template = "{spinner} {msg} {wide_bar} {pos}/{len} {eta}";
+    let style = ProgressStyle::with_template(template);
+    let bar =
+        ProgressBar::new(0).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
+    bar.enable_steady_tick(Duration::from_millis(200));
+    bar
+}
+
+fn read_blob(path: &Path) -> Result<Vec<u8>> {
+    fs::read(path).map_err(Error::io("read", path))
+}
+
+fn print_json(value: &impl Serialize) -> Result<()> {
+    serde_json::to_writer_pretty(io::stdout().lock(), value)
+        .map_err(io::Error::from)
+        .map_err(Error::io("write", "standard output"))?;
+    println!();
+    Ok(())
+}

@@ -1,0 +1,107 @@
+//! Station 6a: which values flow through the decoder, so that the quantiser can choose scales.
+//!
+//! In:  the float model, and codes like those the device will see: the clips' own and draws around them.
+//! Out: the values at the input of every layer, as ranges, means and histograms.
+//!
+//! Why here: post-training quantisation needs nothing of the training poses but the activations they cause, and those
+//! follow from codes and times alone.
+
+use rayon::prelude::*;
+
+use crate::float_model::{DenseLayer, FloatModel};
+
+/// One decoding to observe.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CalibrationCase {
+    /// β then α.
+    pub code: Vec<f32>,
+    /// Frame positions to decode.
+    pub frames: Vec<f64>,
+}
+
+/// Inputs of one layer over all cases.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Observed {
+    /// Smallest value.
+    pub min: f32,
+    /// Largest value.
+    pub max: f32,
+    /// Mean of each input. // (input)
+    pub mean: Vec<f32>,
+    /// An even subset of the values, to try scales on.
+    pub values: Vec<f32>,
+}
+
+/// Values kept per layer; enough for stable percentiles, small enough to try dozens of scales on.
+const VALUE_COUNT_MAX: usize = 200_000;
+
+/// Decodes all cases and observes the input of every layer after the first. // (layer - 1)
+pub fn calibrate(model: &FloatModel, cases: &[CalibrationCase]) -> Vec<Observed> {
+    let inputs: Vec<Vec<Vec<f32>>> = cases
+        .par_iter()
+        .flat_map_iter(|case| observe(model, case))
+        .collect();
+    (0..model.layers.len() - 1)
+        .map(|layer| summarize(&inputs, layer))
+        .collect()
+}
+
+/// Inputs of every layer after the first, for every frame of a case. // (frame)(layer - 1)(input)
+fn observe(model: &FloatModel, case: &CalibrationCase) -> Vec<Vec<Vec<f32>>> {
+    let observe_frame = |&frame: &f64| {
+        let mut inputs = Vec::with_capacity(model.layers.len() - 1);
+        let mut values = case.code.clone();
+        for rate_rad in &model.frequencies_rad {
+            let (sine, cosine) = (rate_rad * frame).sin_cos();
+            values.extend([sine as f32, cosine as f32]);
+        }
+        for layer in &model.layers[..model.layers.len() - 1] {
+            values = elu_layer(layer, &values);
+            inputs.push(values.clone());
+        }
+        inputs
+    };
+    case.frames.iter().map(observe_frame).collect()
+}
+
+fn elu_layer(layer: &DenseLayer, input: &[f32]) -> Vec<f32> {
+    let row = |(weights, bias): (&[f32], &f32)| {
+        let products = weights
+            .iter()
+            .zip(input)
+            .map(|(weight, value)| weight * value);
+        let sum = products.sum::<f32>() + bias;
+        if sum >= 0.0 { sum } else { sum.exp_m1() }
+    };
+    layer
+        .weights
+        .chunks_exact(layer.input_count)
+        .zip(&layer.bias)
+        .map(row)
+        .collect()
+}
+
+fn summarize(inputs: &[Vec<Vec<f32>>], layer: usize) -> Observed {
+    let width = inputs.first().map_or(0, |layers| layers[layer].len());
+    let mut sums = vec![0.0f64; width];
+    for layers in inputs {
+        for (sum, value) in sums.iter_mut().zip(&layers[layer]) {
+            *sum += f64::from(*value);
+        }
+    }
+    let all = || {
+        inputs
+            .iter()
+            .flat_map(|layers| layers[layer].iter().copied())
+    };
+    let stride = (inputs.len() * width).div_ceil(VALUE_COUNT_MAX).max(1);
+    Observed {
+        min: all().fold(0.0, f32::min),
+        max: all().fold(0.0, f32::max),
+        mean: sums
+            .iter()
+            .map(|sum| (sum / inputs.len().max(1) as f64) as f32)
+            .collect(),
+        values: all().step_by(stride).collect(),
+    }
+}

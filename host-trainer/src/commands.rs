@@ -1,0 +1,12 @@
+//! What the user types, one file per verb: arguments in, library calls, text out.
+
+pub mod bench;
+pub mod character;
+pub mod clips;
+pub mod demo;
+pub mod generate;
+pub mod inspect;
+pub mod inspect_clips;
+pub mod quantize;
+pub mod reconstruct;
+pub mod train;

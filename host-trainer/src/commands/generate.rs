@@ -1,0 +1,94 @@
+//! `host-trainer generate`: new motions as files and pictures.
+
+use std::path::PathBuf;
+
+use crate::checkpoint::Checkpoint;
+use crate::error::{Error, Result};
+use crate::export::{self, ExportFormat, Motion, Overwrite};
+use crate::generate::{Request, generate_blob, generate_float};
+use crate::inspect_blob::{load, read_blob};
+use crate::mixture_file;
+use crate::picture;
+
+/// Arguments of `generate`.
+#[derive(Clone, Debug, clap::Args)]
+#[command(after_help = "Example:\n  host-trainer generate creature.kara --action nod --seconds 2.4 --seed 7 \
+    --count 3 --out motions --as csv --plot")]
+pub struct GenerateArgs {
+    /// Folder of a run (float model) or a blob (the device's own arithmetic).
+    #[arg(value_name = "RUN|FILE.kara")]
+    pub source: PathBuf,
+    /// What to do.
+    #[arg(long)]
+    pub action: String,
+    /// How long to do it.
+    #[arg(long)]
+    pub seconds: f64,
+    /// Seed of the first motion; the others count up from it.
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Number of motions.
+    #[arg(long, default_value_t = 1)]
+    pub count: u64,
+    /// Folder for the files.
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// File format.
+    #[arg(long = "as", value_enum, default_value_t = ExportFormat::Csv)]
+    pub format: ExportFormat,
+    /// Also draw a contact sheet.
+    #[arg(long)]
+    pub plot: bool,
+    /// Take the nearest trained length when the one asked for was never trained.
+    #[arg(long)]
+    pub clamp: bool,
+    /// Replace existing files.
+    #[arg(long)]
+    pub force: bool,
+}
+
+/// Writes the motions and prints the files' names on stdout, one a line.
+pub fn run(args: &GenerateArgs) -> Result<()> {
+    if !(args.seconds.is_finite() && args.seconds > 0.0) {
+        return Err(Error::bad_input(
+            "--seconds",
+            "the length",
+            args.seconds,
+            "a positive number",
+            "give the length in seconds, such as 2.4",
+        ));
+    }
+    let motions = generate_all(args)?;
+    std::fs::create_dir_all(&args.out).map_err(Error::io("create", &args.out))?;
+    let overwrite = if args.force { Overwrite::Replace } else { Overwrite::Refuse };
+    for motion in &motions {
+        let name = format!("{}_{:.2}s_seed{}.{}", motion.action, motion.seconds, motion.seed, args.format.extension());
+        for file in export::write(motion, args.format, &args.out.join(name), overwrite)? {
+            println!("{}", file.display());
+        }
+    }
+    if args.plot {
+        let path = args.out.join(format!("{}_seed{}.svg", args.action, args.seed));
+        let title = format!("{}, {} s, from {}", args.action, args.seconds, args.source.display());
+        picture::write(&motions, &title, &path, overwrite)?;
+        println!("{}", path.display());
+    }
+    Ok(())
+}
+
+fn generate_all(args: &GenerateArgs) -> Result<Vec<Motion>> {
+    let requests = (0..args.count).map(|index| Request {
+        action: args.action.clone(),
+        seconds: args.seconds,
+        seed: args.seed.wrapping_add(index),
+        clamp: args.clamp,
+    });
+    if args.source.is_dir() {
+        let checkpoint = Checkpoint::load(&args.source)?;
+        let mixtures = mixture_file::of_checkpoint(&args.source, &checkpoint)?;
+        return requests.map(|request| generate_float(&checkpoint, &mixtures, &request)).collect();
+    }
+    let blob = read_blob(&args.source)?;
+    let model = load(&args.source, &blob)?;
+    requests.map(|request| generate_blob(&args.source, &model, &request)).collect()
+}

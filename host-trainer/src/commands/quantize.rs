@@ -1,0 +1,152 @@
+//! `host-trainer quantize`: checkpoint → `.kara`.
+
+use std::path::PathBuf;
+
+use karakuri::NumberFormat;
+use karakuri::manifest::{Provenance, SamplerKind};
+
+use crate::atomic_file;
+use crate::checkpoint::Checkpoint;
+use crate::error::{Error, Result};
+use crate::inspect_blob::BlobReport;
+use crate::mixture_file;
+use crate::mixture_set::MixtureSet;
+use crate::quantize::{QuantizeInput, Quantized, quantize};
+
+/// Arguments of `quantize`.
+#[derive(Clone, Debug, clap::Args)]
+#[command(
+    after_help = "Example:\n  host-trainer quantize runs/creature --format w8a16 --out creature.kara"
+)]
+pub struct QuantizeArgs {
+    /// Folder of the trained run.
+    pub run: PathBuf,
+    /// Number format of weights and activations.
+    #[arg(long, value_enum, default_value_t = FormatArg::W8a16)]
+    pub format: FormatArg,
+    /// The blob to write.
+    #[arg(long, value_name = "FILE.kara")]
+    pub out: PathBuf,
+    /// How the device draws codes.
+    #[arg(long, value_enum, default_value_t = SamplerArg::ClipCodes)]
+    pub sampler: SamplerArg,
+    /// Replace an existing file.
+    #[arg(long)]
+    pub force: bool,
+    /// Print the report as JSON.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Number formats by their command-line names.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum FormatArg {
+    /// i8 weights, i16 activations: the best quality of the integer formats.
+    W8a16,
+    /// i8 weights, i8 activations: for parts without DSP instructions.
+    W8a8,
+    /// binary16 weights, f32 activations: for parts with an FPU.
+    F16,
+}
+
+impl From<FormatArg> for NumberFormat {
+    fn from(format: FormatArg) -> Self {
+        match format {
+            FormatArg::W8a16 => Self::W8A16,
+            FormatArg::W8a8 => Self::W8A8,
+            FormatArg::F16 => Self::F16,
+        }
+    }
+}
+
+/// Samplers by their command-line names.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum SamplerArg {
+    /// The clips' own codes, moved a little towards a neighbour, with one shared noise.
+    ClipCodes,
+    /// Gaussians with diagonal covariances.
+    DiagonalMixture,
+}
+
+impl From<SamplerArg> for SamplerKind {
+    fn from(sampler: SamplerArg) -> Self {
+        match sampler {
+            SamplerArg::ClipCodes => Self::ClipCodes,
+            SamplerArg::DiagonalMixture => Self::DiagonalMixture,
+        }
+    }
+}
+
+/// Quantises a run and prints the blob's report on stdout.
+pub fn run(args: &QuantizeArgs) -> Result<()> {
+    if args.out.exists() && !args.force {
+        return Err(Error::bad_input(
+            &args.out,
+            "--out",
+            "an existing file",
+            "a new file",
+            "choose another name, or add --force to replace it",
+        ));
+    }
+    let checkpoint = Checkpoint::load(&args.run)?;
+    let mixtures = mixture_file::of_checkpoint(&args.run, &checkpoint)?;
+    let name = args
+        .run
+        .file_name()
+        .map_or_else(|| "model".into(), |name| name.to_string_lossy());
+    let quantized = quantize_checkpoint(
+        &name,
+        &checkpoint,
+        &mixtures,
+        args.format.into(),
+        args.sampler.into(),
+    )?;
+    atomic_file::replace(&args.out, |file| {
+        std::io::Write::write_all(file, &quantized.blob)
+    })?;
+    let report = BlobReport::new(&args.out, &quantized.blob)?;
+    if args.json {
+        println!(
+            "{}",
+            serde_json::to_string_pretty(&report).unwrap_or_default()
+        );
+        return Ok(());
+    }
+    print!("{report}");
+    if !quantized.accumulator_use.is_empty() {
+        let shares: Vec<String> = quantized
+            .accumulator_use
+            .iter()
+            .map(|share| format!("{:.0} %", 100.0 * share))
+            .collect();
+        println!(
+            "\naccumulators proven to stay below 2^31, worst row of each layer: {}",
+            shares.join("  ")
+        );
+    }
+    eprintln!("wrote {}", args.out.display());
+    Ok(())
+}
+
+/// [`quantize`] for a whole checkpoint.
+pub fn quantize_checkpoint(
+    name: &str,
+    checkpoint: &Checkpoint,
+    mixtures: &MixtureSet,
+    format: NumberFormat,
+    sampler: SamplerKind,
+) -> Result<Quantized> {
+    let input = QuantizeInput {
+        name,
+        model: &checkpoint.model,
+        sequence_codes: &checkpoint.sequence_codes,
+        action_codes: &checkpoint.action_codes,
+        dataset: &checkpoint.dataset,
+        mixtures,
+        provenance: Provenance {
+            config_hash: checkpoint.config.config_hash(),
+            seed: checkpoint.config.seed,
+        },
+    };
+    quantize(&input, format, sampler)
+}

@@ -1,0 +1,559 @@
+//! Every number that decides a training run.
+//!
+//! In:  a preset (`presets/*.toml`, built in) and the keys that a user's `--config` file overrides.
+//! Out: [`TrainConfig`] to `train`, `represent`, `dataset` and the mixture; its hash to every artefact.
+//!
+//! Why here: the presets carry every key, with unit, meaning and source in a comment, so a key that no preset has is a
+//! typing error and is refused.
+
+use std::fs;
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+use toml::{Table, Value};
+
+use crate::dataset::Standardization;
+use crate::error::{Error, Result};
+use crate::mixture::MixtureConfig;
+use crate::represent::Representation;
+
+/// Names and texts of the built-in presets.
+pub const PRESETS: [(&str, &str); 4] = [
+    ("paper", include_str!("../presets/paper.toml")),
+    ("published", include_str!("../presets/published.toml")),
+    ("small", include_str!("../presets/small.toml")),
+    ("tiny", include_str!("../presets/tiny.toml")),
+];
+
+/// How squared errors of channels become one loss.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Reduction {
+    /// Mean over all channels.
+    Channel,
+    /// Mean inside each kind of group, summed over the kinds: three channels of translation weigh as much as 144 of rotation.
+    Kind,
+}
+
+/// Which parameters a step moves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum UpdateOrder {
+    /// Codes and weights together.
+    Joint,
+    /// A pass over all clips moves the codes, the next one the weights.
+    Alternate,
+}
+
+/// How often the decoder's weights are moved.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum DecoderStep {
+    /// After every batch.
+    Batch,
+    /// After every pass, by the sum of its batches' gradients.
+    Epoch,
+}
+
+/// Which code rows an optimiser step moves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum CodeRows {
+    /// Those of the batch.
+    Lazy,
+    /// All; the others by their momentum.
+    Dense,
+}
+
+/// Course of the learning rates over the budget.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ScheduleShape {
+    /// Unchanged.
+    Constant,
+    /// Half a cosine, from the full rate to 0.
+    Cosine,
+}
+
+macro_rules! section {
+    ($(#[$doc:meta])* $name:ident { $($(#[$field_doc:meta])* $field:ident: $type:ty,)* }) => {
+        $(#[$doc])*
+        #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+        #[serde(deny_unknown_fields)]
+        pub struct $name { $($(#[$field_doc])* pub $field: $type,)* }
+    };
+}
+
+section! {
+    /// Every hyper-parameter of a run.
+    TrainConfig {
+        /// Start of every random stream.
+        seed: u64,
+        /// How joints are presented.
+        representation: Representation,
+        /// How channels are scaled.
+        standardization: Standardization,
+        /// `[decoder]`
+        decoder: DecoderConfig,
+        /// `[time]`
+        time: TimeConfig,
+        /// `[codes]`
+        codes: CodesConfig,
+        /// `[loss]`
+        loss: LossConfig,
+        /// `[batch]`
+        batch: BatchConfig,
+        /// `[update]`
+        update: UpdateConfig,
+        /// `[adam]`
+        adam: AdamConfig,
+        /// `[schedule]`
+        schedule: ScheduleConfig,
+        /// `[budget]`
+        budget: BudgetConfig,
+        /// `[mixture]`
+        mixture: MixtureConfig,
+    }
+}
+
+section! {
+    /// Shape of the decoder.
+    DecoderConfig {
+        /// Units of every hidden layer.
+        hidden_widths: Vec<usize>,
+    }
+}
+
+section! {
+    /// The time embedding.
+    TimeConfig {
+        /// Numbers of τ; even.
+        sinusoid_count: usize,
+        /// `w_k = base^(-2k / sinusoid_count)` radians per frame.
+        base: f64,
+    }
+}
+
+section! {
+    /// The code tables.
+    CodesConfig {
+        /// Numbers of β.
+        sequence_dimensions: usize,
+        /// Numbers of α.
+        action_dimensions: usize,
+        /// Natural logarithm of every variance at the start.
+        log_variance_start: f64,
+        /// Whether β is drawn from its Gaussian and pays for its divergence.
+        sequence_variational: bool,
+        /// Whether α is drawn from its Gaussian and pays for its divergence.
+        action_variational: bool,
+    }
+}
+
+section! {
+    /// The loss.
+    LossConfig {
+        /// How squared errors are reduced.
+        reduction: Reduction,
+        /// Weight of each KL term.
+        kl_weight: f64,
+    }
+}
+
+section! {
+    /// Size of a batch.
+    BatchConfig {
+        /// Clips a step, at most.
+        clips: usize,
+        /// Random frames a clip.
+        frames: usize,
+    }
+}
+
+section! {
+    /// What a step moves.
+    UpdateConfig {
+        /// Codes and weights together or in turn.
+        order: UpdateOrder,
+        /// How often weights are moved.
+        decoder_step: DecoderStep,
+        /// Which codes are moved.
+        code_rows: CodeRows,
+        /// Largest Euclidean norm of the gradient by the decoder, by all β and by all α; 0: no limit.
+        gradient_norm_max: f64,
+    }
+}
+
+section! {
+    /// The optimiser.
+    AdamConfig {
+        /// Learning rate of weights and biases.
+        decoder_learning_rate: f64,
+        /// Learning rate of means and log-variances.
+        code_learning_rate: f64,
+        /// Decay of the first moment per step.
+        beta1: f64,
+        /// Decay of the second moment per step.
+        beta2: f64,
+        /// Added to the root of the second moment.
+        epsilon: f64,
+    }
+}
+
+section! {
+    /// Course of the learning rates.
+    ScheduleConfig {
+        /// Constant or cosine.
+        shape: ScheduleShape,
+    }
+}
+
+section! {
+    /// When training ends.
+    BudgetConfig {
+        /// Forward and backward passes; counts when `minutes` is 0.
+        steps: u64,
+        /// Minutes of training, over all resumed runs together; 0: `steps` counts.
+        minutes: f64,
+    }
+}
+
+impl TrainConfig {
+    /// A built-in preset.
+    ///
+    /// # Errors
+    /// `BadInput` when no preset has this name.
+    pub fn preset(name: &str) -> Result<Self> {
+        Self::from_table(preset_table(name)?, Path::new(name))
+    }
+
+    /// A preset, with the keys that the file gives in place of the preset's.
+    ///
+    /// # Errors
+    /// * `Io` when the file cannot be read.
+    /// * `BadInput` for a key that does not exist, a value of the wrong type or out of range.
+    pub fn preset_with_file(name: &str, file: &Path) -> Result<Self> {
+        let text = fs::read_to_string(file).map_err(Error::io("read", file))?;
+        let overrides: Table = text.parse().map_err(|error: toml::de::Error| {
+            let remedy = "correct the syntax there";
+            Error::bad_input(
+                file,
+                "the text",
+                error.to_string().trim_end(),
+                "TOML",
+                remedy,
+            )
+        })?;
+        let mut table = preset_table(name)?;
+        override_keys(&mut table, overrides, "", file)?;
+        Self::from_table(table, file)
+    }
+
+    /// Reads what [`TrainConfig::to_toml`] wrote; `source` is for messages.
+    ///
+    /// # Errors
+    /// `BadInput` for anything but a complete and valid configuration.
+    pub fn from_toml(text: &str, source: &Path) -> Result<Self> {
+        let table = text
+            .parse::<Table>()
+            .map_err(|error| incomplete(&error, source))?;
+        Self::from_table(table, source)
+    }
+
+    /// The canonical text: every key, in fixed order, without comments.
+    pub fn to_toml(&self) -> String {
+        toml::to_string(self).unwrap_or_else(|error| unreachable!("plain numbers: {error}"))
+    }
+
+    /// SHA-256 of the canonical text; names the configuration in every artefact.
+    pub fn config_hash(&self) -> [u8; 32] {
+        Sha256::digest(self.to_toml()).into()
+    }
+
+    fn from_table(table: Table, source: &Path) -> Result<Self> {
+        let config: Self = table
+            .try_into()
+            .map_err(|error| incomplete(&error, source))?;
+        config.check(source)?;
+        Ok(config)
+    }
+
+    /// Refuses values that no run could use.
+    ///
+    /// # Errors
+    /// `BadInput` naming the first key whose value is out of range.
+    pub fn check(&self, source: &Path) -> Result<()> {
+        let rules: [(&str, String, bool, &str); 17] = [
+            rule(
+                "decoder.hidden_widths",
+                format!("{:?}", self.decoder.hidden_widths),
+                !self.decoder.hidden_widths.is_empty()
+                    && self
+                        .decoder
+                        .hidden_widths
+                        .iter()
+                        .all(|width| (1..=65_535).contains(width)),
+                "one width or more, each 1 to 65535",
+            ),
+            rule(
+                "time.sinusoid_count",
+                self.time.sinusoid_count,
+                self.time.sinusoid_count >= 2 && self.time.sinusoid_count % 2 == 0,
+                "an even number of 2 or more",
+            ),
+            rule(
+                "time.base",
+                self.time.base,
+                self.time.base > 1.0 && self.time.base.is_finite(),
+                "a number above 1",
+            ),
+            rule(
+                "codes.sequence_dimensions",
+                self.codes.sequence_dimensions,
+                self.codes.sequence_dimensions >= 1,
+                "1 or more",
+            ),
+            rule(
+                "codes.action_dimensions",
+                self.codes.action_dimensions,
+                self.codes.action_dimensions >= 1,
+                "1 or more",
+            ),
+            rule(
+                "codes.log_variance_start",
+                self.codes.log_variance_start,
+                self.codes.log_variance_start.abs() <= 20.0,
+                "a number from -20 to 20",
+            ),
+            rule(
+                "loss.kl_weight",
+                self.loss.kl_weight,
+                self.loss.kl_weight >= 0.0 && self.loss.kl_weight.is_finite(),
+                "0 or more",
+            ),
+            rule(
+                "batch.clips",
+                self.batch.clips,
+                self.batch.clips >= 1,
+                "1 or more",
+            ),
+            rule(
+                "batch.frames",
+                self.batch.frames,
+                self.batch.frames >= 1,
+                "1 or more",
+            ),
+            rule(
+                "update.gradient_norm_max",
+                self.update.gradient_norm_max,
+                self.update.gradient_norm_max >= 0.0,
+                "0 (off) or more",
+            ),
+            rule(
+                "adam.decoder_learning_rate",
+                self.adam.decoder_learning_rate,
+                (0.0..=1.0).contains(&self.adam.decoder_learning_rate),
+                "a number from 0 to 1",
+            ),
+            rule(
+                "adam.code_learning_rate",
+                self.adam.code_learning_rate,
+                (0.0..=1.0).contains(&self.adam.code_learning_rate),
+                "a number from 0 to 1",
+            ),
+            rule(
+                "adam.beta1",
+                self.adam.beta1,
+                (0.0..1.0).contains(&self.adam.beta1),
+                "0 or more, below 1",
+            ),
+            rule(
+                "adam.beta2",
+                self.adam.beta2,
+                (0.0..1.0).contains(&self.adam.beta2),
+                "0 or more, below 1",
+            ),
+            rule(
+                "adam.epsilon",
+                self.adam.epsilon,
+                self.adam.epsilon > 0.0,
+                "above 0",
+            ),
+            rule(
+                "budget.steps",
+                self.budget.steps,
+                self.budget.steps >= 1 || self.budget.minutes > 0.0,
+                "1 or more, unless `minutes` is above 0",
+            ),
+            rule(
+                "budget.minutes",
+                self.budget.minutes,
+                self.budget.minutes >= 0.0 && self.budget.minutes.is_finite(),
+                "0 or more",
+            ),
+        ];
+        match rules.into_iter().find(|rule| !rule.2) {
+            None => Ok(()),
+            Some((key, value, _, expected)) => Err(Error::bad_input(
+                source,
+                key,
+                value,
+                expected,
+                "correct the value",
+            )),
+        }
+    }
+}
+
+/// (key, its value, whether it is in order, what is expected)
+fn rule<'a>(
+    key: &'a str,
+    value: impl ToString,
+    holds: bool,
+    expected: &'a str,
+) -> (&'a str, String, bool, &'a str) {
+    (key, value.to_string(), holds, expected)
+}
+
+fn preset_table(name: &str) -> Result<Table> {
+    let names = PRESETS.map(|(name, _)| name).join(", ");
+    let (_, text) = PRESETS
+        .into_iter()
+        .find(|(preset, _)| *preset == name)
+        .ok_or_else(|| {
+            Error::bad_input(
+                "--preset",
+                "name",
+                name,
+                &names,
+                "choose one of these names",
+            )
+        })?;
+    text.parse()
+        .map_err(|error| incomplete(&error, Path::new(name)))
+}
+
+/// Replaces the preset's values by the user's, key by key.
+fn override_keys(preset: &mut Table, overrides: Table, section: &str, file: &Path) -> Result<()> {
+    for (key, value) in overrides {
+        let path = format!("{section}{key}");
+        let keys = preset.keys().cloned().collect::<Vec<_>>().join(", ");
+        let Some(target) = preset.get_mut(&key) else {
+            let remedy = "remove the key or correct its spelling";
+            return Err(Error::bad_input(file, path, "no known key", keys, remedy));
+        };
+        match (target, value) {
+            (Value::Table(target), Value::Table(inner)) => {
+                override_keys(target, inner, &format!("{path}."), file)?;
+            }
+            (target @ Value::Float(_), Value::Integer(number)) => {
+                *target = Value::Float(number as f64);
+            }
+            (target, value) if target.same_type(&value) => *target = value,
+            (target, value) => {
+                let expected = format!("a value of type {}, as {target}", target.type_str());
+                return Err(Error::bad_input(
+                    file,
+                    path,
+                    value,
+                    expected,
+                    "correct the value",
+                ));
+            }
+        }
+    }
+    Ok(())
+}
+
+fn incomplete(error: &toml::de::Error, source: &Path) -> Error {
+    let expected = "a complete configuration";
+    Error::bad_input(
+        source,
+        "the configuration",
+        error.to_string().trim_end(),
+        expected,
+        "correct that key",
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn with_file(text: &str) -> Result<TrainConfig> {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("own.toml");
+        fs::write(&file, text).unwrap();
+        TrainConfig::preset_with_file("small", &file)
+    }
+
+    #[test]
+    fn unknown_preset_is_rejected_with_the_known_names() {
+        let message = TrainConfig::preset("huge").unwrap_err().to_string();
+        assert!(message.contains("huge") && message.contains("paper, published, small, tiny"));
+    }
+
+    #[test]
+    fn unknown_key_is_rejected_with_its_path_and_the_known_keys() {
+        let message = with_file("[adam]\nbeta3 = 0.5").unwrap_err().to_string();
+        assert!(message.contains("own.toml: adam.beta3"), "{message}");
+        assert!(
+            message.contains("beta1") && message.contains("spelling"),
+            "{message}"
+        );
+    }
+
+    #[test]
+    fn wrong_type_unknown_word_and_wrong_range_are_rejected_by_key() {
+        for (text, word) in [
+            ("[batch]\nclips = \"many\"", "batch.clips"),
+            ("[batch]\nclips = 0", "batch.clips"),
+            ("[schedule]\nshape = \"linear\"", "linear"),
+            ("[adam]\nbeta1 = 1.0", "adam.beta1"),
+            ("[time]\nsinusoid_count = 63", "time.sinusoid_count"),
+            ("[decoder]\nhidden_widths = []", "decoder.hidden_widths"),
+            ("[budget]\nsteps = 0", "budget.steps"),
+            ("[budget]\nminutes = nan", "budget.minutes"),
+            ("seed = -1", "seed"),
+            ("seed = ", "TOML"),
+        ] {
+            let message = with_file(text).unwrap_err().to_string();
+            assert!(
+                message.contains(word) && message.contains("own.toml"),
+                "{text}: {message}"
+            );
+        }
+    }
+
+    #[test]
+    fn presets_are_complete_and_survive_their_canonical_text() {
+        for (name, _) in PRESETS {
+            let config = TrainConfig::preset(name).unwrap();
+            let again = TrainConfig::from_toml(&config.to_toml(), Path::new(name)).unwrap();
+            assert_eq!(config, again);
+            assert_eq!(config.config_hash(), again.config_hash());
+        }
+    }
+
+    #[test]
+    fn every_key_of_every_preset_has_a_comment() {
+        for (name, text) in PRESETS {
+            for line in text.lines().filter(|line| line.contains(" = ")) {
+                assert!(
+                    line.contains(" # ") || line.starts_with('#'),
+                    "{name}: {line}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn file_overrides_the_preset_and_changes_the_hash() {
+        let config = with_file("seed = 9\n[adam]\nbeta1 = 0\n").unwrap();
+        let preset = TrainConfig::preset("small").unwrap();
+        assert_eq!((config.seed, config.adam.beta1), (9, 0.0));
+        assert_eq!(config.decoder, preset.decoder);
+        assert_ne!(config.config_hash(), preset.config_hash());
+    }
+}

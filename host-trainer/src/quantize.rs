@@ -1,0 +1,467 @@
+//! Station 6: checkpoint → blob.
+//!
+//! In:  a checkpoint and the mixtures of its codes.
+//! Out: the bytes of a blob that `karakuri::Model::from_bytes` has accepted.
+//!
+//! Standardisation is folded into the last layer, so that the device's channels come out in channel units; layer 1 is
+//! split into its code half and its time half. Offsets are `karakuri::blob`'s business.
+
+use std::f64::consts::TAU;
+
+use half::f16;
+use karakuri::manifest::{
+    ActivationScale, CODE_LAYER, Group, Joint, LayerShape, Manifest, NumberFormat, Packing,
+    Provenance, SamplerKind, TIME_LAYER, TensorKind,
+};
+use karakuri::{Model, blob::BlobParts};
+
+use crate::calibrate::{CalibrationCase, Observed, calibrate};
+use crate::dataset::DatasetDescription;
+use crate::error::{Error, Result};
+use crate::float_model::{CodeTable, DenseLayer, FloatModel};
+use crate::mixture_set::MixtureSet;
+use crate::quantize_layer::{
+    InputScale, IntegerLayer, activation_scale, quantize_layer, requantizer_of,
+};
+use crate::quantize_sampler::{code_fraction_bits, quantize_sampler};
+
+/// What becomes a blob.
+#[derive(Clone, Copy)]
+pub struct QuantizeInput<'a> {
+    /// Free text for the manifest.
+    pub name: &'a str,
+    /// The decoder.
+    pub model: &'a FloatModel,
+    /// β of every clip.
+    pub sequence_codes: &'a CodeTable,
+    /// α of every action.
+    pub action_codes: &'a CodeTable,
+    /// Layout, actions, standardisation, skeleton.
+    pub dataset: &'a DatasetDescription,
+    /// Length intervals and mixtures.
+    pub mixtures: &'a MixtureSet,
+    /// Where the checkpoint comes from.
+    pub provenance: Provenance,
+}
+
+/// A blob and what its making showed.
+pub struct Quantized {
+    /// The file.
+    pub blob: Vec<u8>,
+    /// Largest share of 2^31 that any accumulator of a layer can reach; empty for `f16`. // (layer)
+    pub accumulator_use: Vec<f64>,
+}
+
+/// Quantises a checkpoint to `format`, with a sampler of `sampler_kind`.
+///
+/// # Errors
+/// A shape beyond `karakuri::limits`, or a weight that the format cannot hold; each names what to change.
+pub fn quantize(
+    input: &QuantizeInput<'_>,
+    format: NumberFormat,
+    sampler_kind: SamplerKind,
+) -> Result<Quantized> {
+    let fraction_bits = code_fraction_bits([input.sequence_codes, input.action_codes]);
+    let sampler = quantize_sampler(
+        sampler_kind,
+        input.sequence_codes,
+        input.mixtures,
+        fraction_bits,
+    );
+    let layers = split_layers(input.model, input.dataset);
+    let quantized = match format {
+        NumberFormat::F16 => half_layers(&layers)?,
+        NumberFormat::W8A16 | NumberFormat::W8A8 => {
+            integer_layers(input, &layers, format, fraction_bits)
+        }
+    };
+    let mut tensors = sampler.tensors;
+    tensors.extend(quantized.tensors);
+    tensors.push((
+        TensorKind::Frequencies,
+        frequency_bytes(&input.model.frequencies_rad),
+    ));
+    tensors.push((
+        TensorKind::ActionCodes,
+        action_code_bytes(input.action_codes, fraction_bits),
+    ));
+    let dataset = input.dataset;
+    let manifest = Manifest {
+        name: input.name,
+        number_format: format,
+        packing: Packing::RowMajor,
+        rate_millihz: (dataset.rate_hz * 1000.0).round() as u32,
+        group_count: dataset.layout.groups.len() as u16,
+        action_count: dataset.actions.len() as u16,
+        joint_count: dataset
+            .skeleton
+            .as_ref()
+            .map_or(0, |skeleton| skeleton.names.len() as u16),
+        sequence_code_count: input.model.sequence_code_count as u16,
+        action_code_count: input.model.action_code_count as u16,
+        code_fraction_bits: fraction_bits,
+        frequency_count: input.model.frequencies_rad.len() as u16,
+        layers: quantized.shapes.iter().copied().collect(),
+        sampler: sampler.shape,
+        provenance: input.provenance,
+    };
+    let blob = emit(&manifest, dataset, &tensors)?;
+    Ok(Quantized {
+        blob,
+        accumulator_use: quantized.accumulator_use,
+    })
+}
+
+/// Layers as the device has them: code half, time half (without bias), the others; the last in channel units.
+fn split_layers(model: &FloatModel, dataset: &DatasetDescription) -> Vec<DenseLayer> {
+    let first = &model.layers[0];
+    let code_count = model.sequence_code_count + model.action_code_count;
+    let columns = |range: std::ops::Range<usize>, bias: Vec<f32>| DenseLayer {
+        input_count: range.len(),
+        output_count: first.output_count,
+        weights: first
+            .weights
+            .chunks_exact(first.input_count)
+            .flat_map(|row| row[range.clone()].iter().copied())
+            .collect(),
+        bias,
+    };
+    let mut layers = vec![
+        columns(0..code_count, first.bias.clone()),
+        columns(code_count..first.input_count, vec![0.0; first.output_count]),
+    ];
+    layers.extend(model.layers[1..].iter().cloned());
+    if let Some(last) = layers.last_mut() {
+        let standardization = dataset.mean.iter().zip(&dataset.scale);
+        let rows = last
+            .weights
+            .chunks_exact_mut(last.input_count)
+            .zip(&mut last.bias);
+        for ((weights, bias), (mean, scale)) in rows.zip(standardization) {
+            weights.iter_mut().for_each(|weight| *weight *= scale);
+            *bias = *bias * scale + mean;
+        }
+    }
+    layers
+}
+
+struct QuantizedLayers {
+    shapes: Vec<LayerShape>,
+    tensors: Vec<(TensorKind, Vec<u8>)>,
+    accumulator_use: Vec<f64>,
+}
+
+fn shape_of(layer: &DenseLayer, activation: ActivationScale) -> LayerShape {
+    LayerShape {
+        input_count: layer.input_count as u16,
+        output_count: layer.output_count as u16,
+        activation,
+    }
+}
+
+fn half_layers(layers: &[DenseLayer]) -> Result<QuantizedLayers> {
+    let mut tensors = Vec::new();
+    for (index, layer) in layers.iter().enumerate() {
+        if let Some(weight) = layer
+            .weights
+            .iter()
+            .find(|&&weight| !f16::from_f32(weight).is_finite())
+        {
+            return Err(Error::bad_input(
+                "checkpoint",
+                format!("weight of layer {index}"),
+                weight,
+                "a magnitude of at most 65504, the largest of binary16",
+                "quantise to w8a16, or lower the learning rate and train again",
+            ));
+        }
+        let weights = layer
+            .weights
+            .iter()
+            .flat_map(|&weight| f16::from_f32(weight).to_le_bytes())
+            .collect();
+        tensors.push((TensorKind::Weights(index), weights));
+        if index != TIME_LAYER {
+            let bias = layer
+                .bias
+                .iter()
+                .flat_map(|bias| bias.to_le_bytes())
+                .collect();
+            tensors.push((TensorKind::Bias(index), bias));
+        }
+    }
+    let shapes = layers
+        .iter()
+        .map(|layer| shape_of(layer, ActivationScale::default()))
+        .collect();
+    Ok(QuantizedLayers {
+        shapes,
+        tensors,
+        accumulator_use: Vec::new(),
+    })
+}
+
+fn integer_layers(
+    input: &QuantizeInput<'_>,
+    layers: &[DenseLayer],
+    format: NumberFormat,
+    fraction_bits: u8,
+) -> QuantizedLayers {
+    let observed = calibrate(input.model, &calibration_cases(input));
+    let inputs = input_scales(&observed, format, fraction_bits);
+    let mut result = QuantizedLayers {
+        shapes: Vec::new(),
+        tensors: Vec::new(),
+        accumulator_use: Vec::new(),
+    };
+    let mut time_half = Vec::new();
+    // The time half first: the code half is requantised to its accumulators.
+    for index in (0..layers.len()).rev() {
+        let means = index
+            .checked_sub(TIME_LAYER + 1)
+            .map_or(&[][..], |above| observed[above].mean.as_slice());
+        let quantized = quantize_layer(&layers[index], inputs[index], means);
+        let factors: Vec<f64> = match index {
+            CODE_LAYER => quantized
+                .accumulator_scales
+                .iter()
+                .zip(&time_half)
+                .map(|(scale, time)| scale / time)
+                .collect(),
+            // Pre-activations (for ELU) and channels are both Q15.16.
+            _ => quantized
+                .accumulator_scales
+                .iter()
+                .map(|scale| scale * 65_536.0)
+                .collect(),
+        };
+        if index == TIME_LAYER {
+            time_half.clone_from(&quantized.accumulator_scales);
+        }
+        let next = if index == CODE_LAYER {
+            None
+        } else {
+            inputs.get(index + 1)
+        };
+        result.shapes.insert(
+            0,
+            shape_of(
+                &layers[index],
+                next.map_or_else(Default::default, stored_activation),
+            ),
+        );
+        result.accumulator_use.insert(
+            0,
+            quantized
+                .accumulator_use
+                .iter()
+                .copied()
+                .fold(0.0, f64::max),
+        );
+        result
+            .tensors
+            .extend(layer_tensors(index, &quantized, &factors));
+    }
+    result
+}
+
+/// How the inputs of every layer are stored.
+fn input_scales(observed: &[Observed], format: NumberFormat, fraction_bits: u8) -> Vec<InputScale> {
+    let code = InputScale {
+        scale: 2f64.powi(-i32::from(fraction_bits)),
+        zero_point: 0,
+        magnitude_max: 1 << 15,
+    };
+    let one = i64::from(format.sinusoid_one());
+    let time = InputScale {
+        scale: 1.0 / one as f64,
+        zero_point: 0,
+        magnitude_max: one,
+    };
+    let hidden = observed
+        .iter()
+        .map(|observed| activation_scale(observed, format.activation_range()));
+    [code, time].into_iter().chain(hidden).collect()
+}
+
+fn stored_activation(next: &InputScale) -> ActivationScale {
+    let (multiplier, shift) = requantizer_of(1.0 / (65_536.0 * next.scale)).parts();
+    ActivationScale {
+        multiplier,
+        shift,
+        zero_point: next.zero_point,
+    }
+}
+
+fn layer_tensors(
+    index: usize,
+    layer: &IntegerLayer,
+    factors: &[f64],
+) -> Vec<(TensorKind, Vec<u8>)> {
+    let parts: Vec<(i32, i8)> = factors
+        .iter()
+        .map(|&factor| requantizer_of(factor).parts())
+        .collect();
+    let mut tensors = vec![
+        (
+            TensorKind::Weights(index),
+            layer
+                .weights
+                .iter()
+                .map(|weight| weight.cast_unsigned())
+                .collect(),
+        ),
+        (
+            TensorKind::Multipliers(index),
+            parts.iter().flat_map(|part| part.0.to_le_bytes()).collect(),
+        ),
+        (
+            TensorKind::Shifts(index),
+            parts.iter().map(|part| part.1.cast_unsigned()).collect(),
+        ),
+    ];
+    if index != TIME_LAYER {
+        tensors.push((
+            TensorKind::Bias(index),
+            layer
+                .bias
+                .iter()
+                .flat_map(|bias| bias.to_le_bytes())
+                .collect(),
+        ));
+    }
+    tensors
+}
+
+/// Clips' own codes and draws from their Gaussians, a few frames of each, at most some thousand decodings.
+fn calibration_cases(input: &QuantizeInput<'_>) -> Vec<CalibrationCase> {
+    const CASES_MAX: usize = 600;
+    const FRAMES: usize = 8;
+    let clips = &input.dataset.clips;
+    let stride = clips.len().div_ceil(CASES_MAX / 2).max(1);
+    let mut random = karakuri::Pcg32::new(input.provenance.seed);
+    let mut cases = Vec::new();
+    for (row, clip) in clips.iter().enumerate().step_by(stride) {
+        let frames: Vec<f64> = (0..FRAMES)
+            .map(|i| (clip.frame_count - 1) as f64 * i as f64 / (FRAMES - 1) as f64)
+            .collect();
+        let alpha = row_of(
+            &input.action_codes.mean,
+            input.action_codes.dimension_count,
+            clip.action,
+        );
+        let mean = row_of(
+            &input.sequence_codes.mean,
+            input.sequence_codes.dimension_count,
+            row,
+        );
+        let spread = row_of(
+            &input.sequence_codes.log_variance,
+            input.sequence_codes.dimension_count,
+            row,
+        );
+        let drawn = mean.iter().zip(spread).map(|(mean, log_variance)| {
+            // Sum of 12 uniforms: a Gaussian good enough to find ranges.
+            let noise: f32 = (0..12)
+                .map(|_| random.next_u32() as f32 / u32::MAX as f32)
+                .sum::<f32>()
+                - 6.0;
+            mean + noise * (0.5 * log_variance).exp()
+        });
+        let codes = [mean.to_vec(), drawn.collect()];
+        cases.extend(codes.into_iter().map(|mut code| {
+            code.extend(alpha);
+            CalibrationCase {
+                code,
+                frames: frames.clone(),
+            }
+        }));
+    }
+    cases
+}
+
+fn row_of(table: &[f32], width: usize, row: usize) -> &[f32] {
+    &table[row * width..(row + 1) * width]
+}
+
+fn frequency_bytes(frequencies_rad: &[f64]) -> Vec<u8> {
+    let step = |rate_rad: &f64| (rate_rad / TAU * 2f64.powi(32)).round() as u64 as u32;
+    frequencies_rad
+        .iter()
+        .flat_map(|rate_rad| step(rate_rad).to_le_bytes())
+        .collect()
+}
+
+fn action_code_bytes(codes: &CodeTable, fraction_bits: u8) -> Vec<u8> {
+    let one = f32::from(1u16 << fraction_bits);
+    codes
+        .mean
+        .iter()
+        .flat_map(|value| ((value * one).round() as i16).to_le_bytes())
+        .collect()
+}
+
+fn emit(
+    manifest: &Manifest<'_>,
+    dataset: &DatasetDescription,
+    tensors: &[(TensorKind, Vec<u8>)],
+) -> Result<Vec<u8>> {
+    let groups: Vec<Group<'_>> = dataset
+        .layout
+        .groups
+        .iter()
+        .map(|group| Group {
+            name: &group.name,
+            kind: group.kind,
+            unit: group.unit,
+        })
+        .collect();
+    let actions: Vec<&str> = dataset.actions.iter().map(String::as_str).collect();
+    let joints: Vec<Joint<'_>> = dataset.skeleton.iter().flat_map(joints_of).collect();
+    let tensors: Vec<(TensorKind, &[u8])> = tensors
+        .iter()
+        .map(|(kind, bytes)| (*kind, bytes.as_slice()))
+        .collect();
+    let parts = BlobParts {
+        manifest,
+        groups: &groups,
+        actions: &actions,
+        joints: &joints,
+        tensors: &tensors,
+    };
+    let names: usize = groups
+        .iter()
+        .map(|group| group.name.len() + 16)
+        .sum::<usize>()
+        + actions
+            .iter()
+            .map(|action| action.len() + 16)
+            .sum::<usize>()
+        + joints
+            .iter()
+            .map(|joint| joint.name.len() + 32)
+            .sum::<usize>();
+    let space: usize = tensors.iter().map(|(_, bytes)| bytes.len() + 16).sum();
+    let mut blob = vec![0; space + names + manifest.name.len() + 4096];
+    let refuse = |reason: karakuri::BlobError| Error::Blob {
+        path: manifest.name.into(),
+        reason: reason.to_string(),
+    };
+    let length = parts.emit(&mut blob).map_err(refuse)?;
+    blob.truncate(length);
+    Model::from_bytes(&blob).map_err(refuse)?;
+    Ok(blob)
+}
+
+fn joints_of(skeleton: &crate::skeleton::Skeleton) -> impl Iterator<Item = Joint<'_>> {
+    let joints = skeleton
+        .names
+        .iter()
+        .zip(&skeleton.parents)
+        .zip(&skeleton.offsets);
+    joints.map(|((name, parent), &offset)| Joint {
+        name,
+        parent: parent.map(|parent| parent as u16),
+        offset,
+    })
+}

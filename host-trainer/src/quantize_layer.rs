@@ -1,0 +1,254 @@
+//! Station 6b: one float layer → integer rows whose accumulators provably cannot overflow.
+//!
+//! real output = row scale · input scale · (Σ w·q + bias), with w the stored weight, q the stored input, and the
+//! input's zero point folded into the bias.
+//!
+//! Source: Jacob et al., CVPR 2018, for scales and zero points; Nagel et al., ICCV 2019, section 4.2, for the bias
+//! correction (here from calibrated means).
+
+use karakuri::Requantizer;
+
+use crate::calibrate::Observed;
+use crate::float_model::DenseLayer;
+
+/// How a layer's stored inputs map to real values: `real = scale · (stored − zero_point)`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct InputScale {
+    /// Real value of 1.
+    pub scale: f64,
+    /// Stored value of zero.
+    pub zero_point: i16,
+    /// Largest magnitude of a stored input.
+    pub magnitude_max: i64,
+}
+
+/// Integer rows of one layer; see `karakuri::manifest::TensorKind` for the formats.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct IntegerLayer {
+    /// // (out, in)
+    pub weights: Vec<i8>,
+    /// Accumulator units. // (out)
+    pub bias: Vec<i32>,
+    /// Real value of an accumulator's 1. // (out)
+    pub accumulator_scales: Vec<f64>,
+    /// Largest accumulator that any input can cause, as a share of 2^31; the certificate. // (out)
+    pub accumulator_use: Vec<f64>,
+}
+
+/// Quantises every row; `input_mean` (may be empty) corrects the bias for the rounding of the weights.
+pub fn quantize_layer(layer: &DenseLayer, input: InputScale, input_mean: &[f32]) -> IntegerLayer {
+    let mut result = IntegerLayer::default();
+    for (weights, &bias) in layer
+        .weights
+        .chunks_exact(layer.input_count)
+        .zip(&layer.bias)
+    {
+        let row = quantize_row(weights, f64::from(bias), input, input_mean);
+        result.weights.extend(row.weights);
+        result.bias.push(row.bias);
+        result.accumulator_scales.push(row.scale * input.scale);
+        result
+            .accumulator_use
+            .push(row.accumulator_max as f64 / 2f64.powi(31));
+    }
+    result
+}
+
+struct Row {
+    weights: Vec<i8>,
+    bias: i32,
+    scale: f64,
+    accumulator_max: i64,
+}
+
+/// The finest scale at which the certificate Σ|w|·max|q| + |bias| < 2^31 holds.
+fn quantize_row(weights: &[f32], bias: f64, input: InputScale, input_mean: &[f32]) -> Row {
+    let largest = weights.iter().fold(0.0f64, |largest, &weight| {
+        largest.max(f64::from(weight).abs())
+    });
+    // An all-zero row still needs a scale at which its bias fits.
+    let mut scale = (largest / 127.0)
+        .max(bias.abs() / (input.scale * 2f64.powi(30)))
+        .max(f64::MIN_POSITIVE * 1e20);
+    loop {
+        let row = quantize_row_at(weights, bias, input, input_mean, scale);
+        if let Some(row) = row {
+            return row;
+        }
+        scale *= 1.02;
+    }
+}
+
+fn quantize_row_at(
+    weights: &[f32],
+    bias: f64,
+    input: InputScale,
+    input_mean: &[f32],
+    scale: f64,
+) -> Option<Row> {
+    let stored: Vec<i8> = weights
+        .iter()
+        .map(|&weight| (f64::from(weight) / scale).round().clamp(-127.0, 127.0) as i8)
+        .collect();
+    let lost = weights.iter().zip(&stored).zip(input_mean);
+    let correction: f64 = lost
+        .map(|((&weight, &stored), &mean)| {
+            (f64::from(weight) - f64::from(stored) * scale) * f64::from(mean)
+        })
+        .sum();
+    let sum: i64 = stored.iter().map(|&weight| i64::from(weight)).sum();
+    let magnitude: i64 = stored.iter().map(|&weight| i64::from(weight).abs()).sum();
+    let real_bias = ((bias + correction) / (scale * input.scale)).round();
+    let bias = real_bias as i64 - i64::from(input.zero_point) * sum;
+    let accumulator_max = magnitude * input.magnitude_max + bias.abs();
+    let fits = real_bias.abs() < 2f64.powi(31) && accumulator_max <= i64::from(i32::MAX);
+    fits.then(|| Row {
+        weights: stored,
+        bias: bias as i32,
+        scale,
+        accumulator_max,
+    })
+}
+
+/// The stored form of a real factor: the nearest multiplier and shift.
+///
+/// Factors below 2^-32 become 0; factors of 2^30 and more saturate (no scale of a trained model is near them).
+pub fn requantizer_of(factor: f64) -> Requantizer {
+    if !factor.is_finite() || factor <= 0.0 {
+        return Requantizer::ZERO;
+    }
+    let mut shift = factor.log2().floor() as i32 + 1;
+    let mut multiplier = (factor / 2f64.powi(shift) * 2f64.powi(31)).round();
+    if multiplier >= 2f64.powi(31) {
+        multiplier /= 2.0;
+        shift += 1;
+    }
+    if shift < i32::from(Requantizer::SHIFT_MIN) {
+        multiplier = (multiplier / 2f64.powi(i32::from(Requantizer::SHIFT_MIN) - shift)).round();
+        shift = i32::from(Requantizer::SHIFT_MIN);
+    }
+    if shift > i32::from(Requantizer::SHIFT_MAX) {
+        (multiplier, shift) = (f64::from(i32::MAX), i32::from(Requantizer::SHIFT_MAX));
+    }
+    Requantizer::new(multiplier as i32, shift as i8).unwrap_or(Requantizer::ZERO)
+}
+
+/// The scale at which the stored activations of a layer fit `range`.
+///
+/// Ranges of 16 bits are symmetric, with a quarter of head room for codes that calibration did not see. Ranges of 8 bits
+/// have no step to spare: the zero point moves so that all are used (ELU never falls below −1), and of 64 ranges the one
+/// with the least mean square error wins, since clipping a rare extreme may cost less than coarser steps.
+pub fn activation_scale(observed: &Observed, range: (i16, i16)) -> InputScale {
+    let (low, high) = (f64::from(range.0), f64::from(range.1));
+    let (min, max) = (f64::from(observed.min), f64::from(observed.max));
+    let magnitude_max = i64::from(range.0).abs().max(i64::from(range.1));
+    if high - low > 1000.0 {
+        let scale = (1.25 * max.max(-min) / high).max(SCALE_MIN);
+        return InputScale {
+            scale,
+            zero_point: 0,
+            magnitude_max,
+        };
+    }
+    let candidates = (1..=64).map(|step| {
+        let scale = ((max * f64::from(step) / 64.0 - min) / (high - low)).max(SCALE_MIN);
+        let zero_point = (low - min / scale).round().clamp(low, high) as i16;
+        InputScale {
+            scale,
+            zero_point,
+            magnitude_max,
+        }
+    });
+    let scored = candidates.map(|candidate| {
+        (
+            rounding_error(&observed.values, candidate, range),
+            candidate,
+        )
+    });
+    let best = scored.min_by(|a, b| a.0.total_cmp(&b.0));
+    best.map_or(
+        InputScale {
+            scale: 1.0,
+            zero_point: 0,
+            magnitude_max,
+        },
+        |scored| scored.1,
+    )
+}
+
+/// Keeps a layer whose activations never move from dividing by zero.
+const SCALE_MIN: f64 = 1e-9;
+
+/// Sum of squares of what storing `values` loses.
+fn rounding_error(values: &[f32], input: InputScale, range: (i16, i16)) -> f64 {
+    let zero_point = f64::from(input.zero_point);
+    let square = |&value: &f32| {
+        let stored = (f64::from(value) / input.scale + zero_point).round();
+        let stored = stored.clamp(f64::from(range.0), f64::from(range.1));
+        ((stored - zero_point) * input.scale - f64::from(value)).powi(2)
+    };
+    values.iter().map(square).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn all_zero_row_keeps_its_bias() {
+        let layer = DenseLayer {
+            input_count: 3,
+            output_count: 1,
+            weights: vec![0.0; 3],
+            bias: vec![-1.25],
+        };
+        let input = InputScale {
+            scale: 1e-4,
+            zero_point: 7,
+            magnitude_max: 32_767,
+        };
+        let quantized = quantize_layer(&layer, input, &[]);
+        let real = f64::from(quantized.bias[0]) * quantized.accumulator_scales[0];
+        assert!((real + 1.25).abs() < 1e-6, "{real}");
+    }
+
+    #[test]
+    fn row_that_would_overflow_gets_a_coarser_scale() {
+        let layer = DenseLayer {
+            input_count: 4096,
+            output_count: 1,
+            weights: vec![1.0; 4096],
+            bias: vec![0.0],
+        };
+        let input = InputScale {
+            scale: 1.0,
+            zero_point: 0,
+            magnitude_max: 32_768,
+        };
+        let quantized = quantize_layer(&layer, input, &[]);
+        assert!(quantized.accumulator_use[0] < 1.0);
+        assert!(quantized.weights[0] < 127 && quantized.weights[0] > 0);
+    }
+
+    proptest! {
+        #[test]
+        fn requantizer_is_within_a_billionth_of_the_factor(exponent in -20.0f64..28.0) {
+            let factor = 2f64.powf(exponent);
+            let (multiplier, shift) = requantizer_of(factor).parts();
+            let stored = f64::from(multiplier) / 2f64.powi(31) * 2f64.powi(i32::from(shift));
+            prop_assert!((stored / factor - 1.0).abs() < 1e-9);
+        }
+
+        #[test]
+        fn every_row_carries_its_certificate(
+            weights in prop::collection::vec(-3.0f32..3.0, 1..300), bias in -100.0f32..100.0, zero_point in -128i16..128
+        ) {
+            let input = InputScale { scale: 0.01, zero_point, magnitude_max: 32_767 };
+            let layer = DenseLayer { input_count: weights.len(), output_count: 1, weights, bias: vec![bias] };
+            let row = quantize_layer(&layer, input, &[]);
+            let magnitude: i64 = row.weights.iter().map(|&weight| i64::from(weight).abs()).sum();
+            prop_assert!(magnitude * 32_767 + i64::from(row.bias[0]).abs() < 1 << 31);
+        }
+    }
+}
