@@ -3,12 +3,12 @@
 //! In:  [`Motion`] from `generate`.
 //! Out: CSV (read again by the importer), NumPy, or JSON; each written whole or not at all.
 
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use npyz::WriterBuilder;
 use serde::Serialize;
 
+use crate::atomic_file::{self, Overwrite};
 use crate::body::Body;
 use crate::bvh_export as bvh;
 use crate::error::{Error, Result};
@@ -84,15 +84,6 @@ impl ExportFormat {
     }
 }
 
-/// What to do about a file that exists.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Overwrite {
-    /// Leave it and say so.
-    Refuse,
-    /// Replace it in one step.
-    Replace,
-}
-
 /// Writes one motion; returns the files that it made, `path` first.
 ///
 /// # Errors
@@ -113,13 +104,12 @@ pub fn write(
         let bytes = joints_npy(&joints).map_err(Error::io("encode", &file))?;
         files.push((file, bytes));
     }
-    if overwrite == Overwrite::Refuse {
-        files
-            .iter()
-            .try_for_each(|(file, _)| refuse_existing(file))?;
-    }
+    // All or none: a file that is in the way must not leave half of a pair behind.
+    files
+        .iter()
+        .try_for_each(|(file, _)| atomic_file::check(file, overwrite))?;
     for (file, bytes) in &files {
-        write_atomically(file, bytes, overwrite)?;
+        atomic_file::write(file, bytes, overwrite)?;
     }
     Ok(files.into_iter().map(|(file, _)| file).collect())
 }
@@ -217,55 +207,6 @@ fn json(motion: &Motion) -> std::io::Result<Vec<u8>> {
         poses: motion.frames().collect(),
     };
     Ok(serde_json::to_vec(&file)?)
-}
-
-fn refuse_existing(path: &Path) -> Result<()> {
-    if path.exists() {
-        return Err(Error::bad_input(
-            path,
-            "output file",
-            "there already",
-            "a new file",
-            "choose another --out, or replace it with --force",
-        ));
-    }
-    Ok(())
-}
-
-/// Writes a file whole or not at all: a temporary file in the same folder, synced, then renamed.
-///
-/// # Errors
-/// - The file exists and `overwrite` is `Refuse`.
-/// - The system refuses; the temporary file is removed.
-pub fn write_atomically(path: &Path, bytes: &[u8], overwrite: Overwrite) -> Result<()> {
-    let folder = match path.parent() {
-        Some(folder) if !folder.as_os_str().is_empty() => folder,
-        _ => Path::new("."),
-    };
-    let mut file = new_file_in(folder).map_err(Error::io("write in", folder))?;
-    file.write_all(bytes).map_err(Error::io("write", path))?;
-    file.as_file()
-        .sync_all()
-        .map_err(Error::io("write", path))?;
-    let persisted = match overwrite {
-        Overwrite::Replace => file.persist(path),
-        Overwrite::Refuse => {
-            refuse_existing(path)?;
-            file.persist_noclobber(path)
-        }
-    };
-    persisted
-        .map(drop)
-        .map_err(|error| Error::io("write", path)(error.error))
-}
-
-/// A temporary file that others may read as far as the user's mask allows; `tempfile`'s own default
-/// is private.
-fn new_file_in(folder: &Path) -> std::io::Result<tempfile::NamedTempFile> {
-    let mut builder = tempfile::Builder::new();
-    #[cfg(unix)]
-    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    builder.tempfile_in(folder)
 }
 
 #[cfg(test)]

@@ -3,9 +3,9 @@
 //! In:  a clip file, or a folder of clip files of one format.
 //! Out: [`ClipSet`] to `represent`, `dataset` and `inspect`.
 //!
-//! Why here: every format reader answers the same four questions (layout, rate, skeleton, poses); finding files, naming
-//! clips, labelling them and checking what all formats must obey is done once, here.
-//! One file at a time is in memory beside the result.
+//! Why here: every format reader answers the same four questions (layout, rate, skeleton, poses);
+//! finding files, naming clips, labelling them and checking what all formats must obey is done
+//! once, here. One file at a time is in memory beside the result.
 
 use std::path::Path;
 
@@ -18,6 +18,7 @@ use crate::skeleton::Skeleton;
 
 mod files;
 pub mod labels;
+mod label_groups;
 mod remarks;
 mod resample;
 mod npy;
@@ -49,7 +50,8 @@ pub enum Format {
 }
 
 impl Format {
-    /// Every format, in the order in which a folder is searched: a `.json` beside a `.bvh` is a sidecar.
+    /// Every format, in the order in which a folder is searched: a `.json` beside a `.bvh` is a
+    /// sidecar.
     pub const ALL: [Self; 4] = [Self::Npy, Self::Bvh, Self::Reachy, Self::Csv];
 
     /// The extension of the format's files, in lower case.
@@ -96,7 +98,8 @@ pub(crate) struct Recordings {
 /// Reads every clip under `path`.
 ///
 /// # Errors
-/// [`Error::BadInput`] naming file, place, value, expectation and remedy; [`Error::Io`] when a file cannot be read.
+/// [`Error::BadInput`] naming file, place, value, expectation and remedy; [`Error::Io`] when a file
+/// cannot be read.
 pub fn read(path: &Path, options: &ImportOptions) -> Result<ClipSet> {
     let mut remarks = Remarks::default();
     let (format, files) = files::find(path, options, &mut remarks)?;
@@ -361,6 +364,24 @@ mod tests {
         let set = read(&path, &ImportOptions::default()).unwrap();
         assert_eq!((set.clips.len(), frame_count(&set)), (81, 23_162));
         assert_eq!((set.rate_hz, set.layout.channel_count()), (50.0, 12));
+        assert_eq!(set.remarks, Vec::<String>::new());
+    }
+
+    #[test]
+    fn our_groups_join_every_reachy_move_into_ten_emotions() {
+        let Some(path) = shared("reachy_mini_emotions") else {
+            return;
+        };
+        let groups = concat!(
+            env!("CARGO_MANIFEST_DIR"),
+            "/label-groups/reachy_emotions.toml"
+        );
+        let mut options = ImportOptions::default();
+        options.labels.groups = Some(groups.into());
+        let set = read(&path, &options).unwrap();
+        let actions: std::collections::BTreeSet<_> =
+            set.clips.iter().map(|clip| clip.action.as_str()).collect();
+        assert_eq!((set.clips.len(), actions.len()), (81, 10));
         assert_eq!(set.remarks, Vec::<String>::new());
     }
 

@@ -14,16 +14,16 @@
 
 use std::collections::HashMap;
 use std::fs;
-use std::io::{ErrorKind, Write};
+use std::io::ErrorKind;
 use std::path::Path;
 use std::vec::IntoIter;
 
 use safetensors::tensor::{Dtype, SafeTensors, TensorView, serialize};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
-use tempfile::NamedTempFile;
 
-use crate::checkpoint::Checkpoint;
+use crate::atomic_file::{self, Overwrite};
+use crate::checkpoint::{Checkpoint, hexadecimal};
 use crate::dataset::DatasetDescription;
 use crate::error::{Error, Result};
 use crate::fit::fit;
@@ -34,7 +34,7 @@ use crate::mixture_set::{Fallback, FitReport, IntervalMixture, MixtureSet};
 /// The file's name within the run's folder.
 pub const FILE_NAME: &str = "mixture.safetensors";
 /// Part of the key; change it whenever `fit` would give other mixtures for the same input.
-const FIT_VERSION: &str = "karakuri mixture 1";
+const FIT_VERSION: &str = "karakuri mixture 2";
 
 /// The mixtures of a run's codes: read from its cache, or fitted and cached.
 ///
@@ -189,10 +189,10 @@ fn factor_numbers(component: &Component) -> &[f64] {
 }
 
 fn write(path: &Path, key: &str, mixtures: &MixtureSet) -> Result<()> {
-    let bytes = emit(key, mixtures).map_err(std::io::Error::other);
-    bytes
-        .and_then(|bytes| write_atomically(path, &bytes))
-        .map_err(Error::io("write", path))
+    let bytes = emit(key, mixtures)
+        .map_err(std::io::Error::other)
+        .map_err(Error::io("write", path))?;
+    atomic_file::write(path, &bytes, Overwrite::Replace)
 }
 
 fn emit(key: &str, mixtures: &MixtureSet) -> anyhow::Result<Vec<u8>> {
@@ -216,15 +216,6 @@ fn emit(key: &str, mixtures: &MixtureSet) -> anyhow::Result<Vec<u8>> {
         .map(|(name, count, bytes)| Ok((*name, TensorView::new(Dtype::F64, vec![*count], bytes)?)))
         .collect::<anyhow::Result<Vec<_>>>()?;
     Ok(serialize(views, Some(metadata))?)
-}
-
-/// Leaves the old bytes or the new ones, whenever the process or the machine stops.
-fn write_atomically(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
-    let mut file = NamedTempFile::new_in(path.parent().unwrap_or(Path::new(".")))?;
-    file.write_all(bytes)?;
-    file.as_file().sync_all()?;
-    file.persist(path)?;
-    Ok(())
 }
 
 /// `None` when there is no file, or it is another fit's, or it is damaged.
@@ -330,10 +321,6 @@ fn checksum(key: &str, outline: &str, numbers: &Numbers) -> String {
         }
     }
     hexadecimal(&hash.finalize())
-}
-
-fn hexadecimal(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 #[cfg(test)]

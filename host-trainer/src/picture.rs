@@ -6,9 +6,10 @@
 
 use std::path::Path;
 
+use crate::atomic_file::{self, Overwrite};
 use crate::curves;
 use crate::error::{Error, Result};
-use crate::export::{Motion, Overwrite, write_atomically};
+use crate::export::Motion;
 use crate::stick_figures;
 
 /// Draws a contact sheet.
@@ -53,7 +54,7 @@ pub fn contact_sheet(motions: &[Motion], title: &str) -> Result<String> {
 /// Those of [`contact_sheet`] and of writing.
 pub fn write(motions: &[Motion], title: &str, path: &Path, overwrite: Overwrite) -> Result<()> {
     let sheet = contact_sheet(motions, title)?;
-    write_atomically(path, sheet.as_bytes(), overwrite)
+    atomic_file::write(path, sheet.as_bytes(), overwrite)
 }
 
 #[cfg(test)]

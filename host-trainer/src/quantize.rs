@@ -13,7 +13,7 @@ use karakuri::manifest::{
     ActivationScale, CODE_LAYER, Group, Joint, LayerShape, Manifest, NumberFormat, Packing,
     Provenance, SamplerKind, TIME_LAYER, TensorKind,
 };
-use karakuri::{Model, blob::BlobParts};
+use karakuri::{Model, blob::BlobParts, limits};
 
 use crate::calibrate::{CalibrationCase, Observed, calibrate};
 use crate::dataset::DatasetDescription;
@@ -69,6 +69,7 @@ pub fn quantize(
         fraction_bits,
     );
     let layers = split_layers(input.model, input.dataset);
+    check_fits(&layers, input)?;
     let quantized = match format {
         NumberFormat::F16 => half_layers(&layers)?,
         NumberFormat::W8A16 | NumberFormat::W8A8 => {
@@ -110,6 +111,57 @@ pub fn quantize(
         blob,
         accumulator_use: quantized.accumulator_use,
     })
+}
+
+/// Refuses what the manifest's 16-bit counts and bounded list of layers could not even say.
+fn check_fits(layers: &[DenseLayer], input: &QuantizeInput<'_>) -> Result<()> {
+    let widest = layers
+        .iter()
+        .map(|layer| layer.input_count.max(layer.output_count))
+        .max()
+        .unwrap_or(0);
+    let skeleton = input.dataset.skeleton.as_ref();
+    let counts = [
+        ("layers", layers.len(), limits::LAYERS_MAX),
+        ("widest layer", widest, limits::WIDTH_MAX),
+        (
+            "channels",
+            input.dataset.layout.channel_count(),
+            limits::CHANNELS_MAX,
+        ),
+        (
+            "numbers of a code",
+            input.model.code_count(),
+            limits::CODE_MAX,
+        ),
+        (
+            "sinusoids",
+            input.model.sinusoid_count(),
+            limits::SINUSOIDS_MAX,
+        ),
+        ("actions", input.dataset.actions.len(), limits::NAMES_MAX),
+        (
+            "joints",
+            skeleton.map_or(0, |skeleton| skeleton.names.len()),
+            limits::NAMES_MAX,
+        ),
+        ("clips", input.dataset.clips.len(), usize::from(u16::MAX)),
+        (
+            "length intervals",
+            input.mixtures.intervals.len(),
+            usize::from(u16::MAX),
+        ),
+    ];
+    match counts.into_iter().find(|&(_, count, max)| count > max) {
+        None => Ok(()),
+        Some((field, count, max)) => Err(Error::bad_input(
+            input.name,
+            field,
+            count,
+            format!("at most {max}, the device's limit"),
+            "train a smaller model",
+        )),
+    }
 }
 
 /// Layers as the device has them: code half, time half (without bias), the others; the last in channel units.

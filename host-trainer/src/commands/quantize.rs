@@ -5,9 +5,9 @@ use std::path::PathBuf;
 use karakuri::NumberFormat;
 use karakuri::manifest::{Provenance, SamplerKind};
 
-use crate::atomic_file;
+use crate::atomic_file::{self, Overwrite};
 use crate::checkpoint::Checkpoint;
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::inspect_blob::BlobReport;
 use crate::mixture_file;
 use crate::mixture_set::MixtureSet;
@@ -79,15 +79,8 @@ impl From<SamplerArg> for SamplerKind {
 
 /// Quantises a run and prints the blob's report on stdout.
 pub fn run(args: &QuantizeArgs) -> Result<()> {
-    if args.out.exists() && !args.force {
-        return Err(Error::bad_input(
-            &args.out,
-            "--out",
-            "an existing file",
-            "a new file",
-            "choose another name, or add --force to replace it",
-        ));
-    }
+    let overwrite = Overwrite::from_force(args.force);
+    atomic_file::check(&args.out, overwrite)?;
     let checkpoint = Checkpoint::load(&args.run)?;
     let mixtures = mixture_file::of_checkpoint(&args.run, &checkpoint)?;
     let name = args
@@ -101,9 +94,7 @@ pub fn run(args: &QuantizeArgs) -> Result<()> {
         args.format.into(),
         args.sampler.into(),
     )?;
-    atomic_file::replace(&args.out, |file| {
-        std::io::Write::write_all(file, &quantized.blob)
-    })?;
+    atomic_file::write(&args.out, &quantized.blob, overwrite)?;
     let report = BlobReport::new(&args.out, &quantized.blob)?;
     if args.json {
         println!(

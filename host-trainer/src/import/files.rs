@@ -1,7 +1,8 @@
 //! Finds the clip files under a path and gives each clip its name.
 //!
-//! Why here: data sets come as one file, as a flat folder, as a folder with one subfolder of clips (`clips/`, `moves/`)
-//! or as one subfolder per action. All of them become a sorted list of named files.
+//! Why here: data sets come as one file, as a flat folder, as a folder with one subfolder of clips
+//! (`clips/`, `moves/`) or as one subfolder per action. All of them become a sorted list of named
+//! files.
 
 use std::collections::BTreeSet;
 use std::fs;

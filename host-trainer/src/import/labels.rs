@@ -1,22 +1,24 @@
-//! Says which action each clip shows: by a table, by a pattern on the file name, or by the folder's name.
+//! Says which action each clip shows: by a table, by a pattern on the file name, or by the folder's
+//! name.
 //!
 //! In:  clip files and [`LabelOptions`].
 //! Out: one action per clip, in the same order.
 
-use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::collections::{BTreeSet, HashMap};
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use regex::Regex;
 
 use super::files::{ClipFile, LABELS_FILE};
-use super::{ImportOptions, Remarks};
+use super::{ImportOptions, Remarks, label_groups};
 use crate::error::{Error, Result};
 
 /// Where the actions come from.
 #[derive(Clone, Debug, Default)]
 pub enum LabelSource {
-    /// `labels.csv` beside the clips or one folder up; failing that the folders' names if there are several.
+    /// `labels.csv` beside the clips or one folder up; failing that the folders' names if there are
+    /// several.
     #[default]
     Auto,
     /// This table.
@@ -34,7 +36,8 @@ pub struct LabelOptions {
     pub source: LabelSource,
     /// Column of the table that names the clip; `None`: the first.
     pub clip_column: Option<String>,
-    /// Column of the table that names the action; `None`: the one called `action` or `label`, or the second of two.
+    /// Column of the table that names the action; `None`: the one called `action` or `label`, or
+    /// the second of two.
     pub action_column: Option<String>,
     /// A TOML file `action = ["name", …]` that maps many names to one action.
     pub groups: Option<PathBuf>,
@@ -79,7 +82,7 @@ pub(crate) fn actions(
 ) -> Result<Vec<String>> {
     let mut labels = labels(files, &options.labels, remarks)?;
     if let Some(path) = &options.labels.groups {
-        group(path, &mut labels, remarks)?;
+        label_groups::join(path, &mut labels, remarks)?;
     }
     let missing = files.iter().zip(&labels).find(|(_, label)| label.is_none());
     match missing.filter(|_| !options.tolerate_missing_labels) {
@@ -224,66 +227,6 @@ fn choose_columns(
         Error::bad_input(path, "header", all.join(","), expected, remedy)
     };
     Ok((clip, action.ok_or_else(ambiguous)?))
-}
-
-/// Replaces every label by the action that lists it.
-fn group(path: &Path, labels: &mut [Option<String>], remarks: &mut Remarks) -> Result<()> {
-    let actions = read_groups(path)?;
-    let used: BTreeSet<&String> = labels.iter().flatten().collect();
-    let unknown: Vec<&str> = used
-        .iter()
-        .filter(|label| !actions.contains_key(**label))
-        .map(|label| label.as_str())
-        .collect();
-    if !unknown.is_empty() {
-        let expected = "every label of the clips in one of the groups";
-        let remedy = "add them to a group";
-        return Err(Error::bad_input(
-            path,
-            "missing labels",
-            unknown.join(", "),
-            expected,
-            remedy,
-        ));
-    }
-    for unused in actions.keys().filter(|name| !used.contains(name)) {
-        remarks.note(path, format!("label {unused} occurs in no clip"));
-    }
-    for label in labels.iter_mut().flatten() {
-        label.clone_from(&actions[label.as_str()]);
-    }
-    Ok(())
-}
-
-/// Reads label → action.
-fn read_groups(path: &Path) -> Result<BTreeMap<String, String>> {
-    let text = fs::read_to_string(path).map_err(Error::io("read", path))?;
-    let groups: BTreeMap<String, Vec<String>> = toml::from_str(&text).map_err(|error| {
-        let expected = "lines such as happy = [\"cheerful\", \"laughing\"]";
-        Error::bad_input(
-            path,
-            "groups",
-            error.message(),
-            expected,
-            "correct the file",
-        )
-    })?;
-    let mut actions = BTreeMap::new();
-    for (action, names) in groups {
-        for name in names {
-            if let Some(first) = actions.insert(name.clone(), action.clone()) {
-                let value = format!("in {first} and in {action}");
-                return Err(Error::bad_input(
-                    path,
-                    name,
-                    value,
-                    "one group",
-                    "delete it from one",
-                ));
-            }
-        }
-    }
-    Ok(actions)
 }
 
 #[cfg(test)]

@@ -1,7 +1,9 @@
-//! Station 1: NumPy arrays → clips; one array a file, (frames, joints, 3) or (frames, channels), f32 or f64.
+//! Station 1: NumPy arrays → clips; one array a file, (frames, joints, 3) or (frames, channels),
+//! f32 or f64.
 //!
-//! Source: NEP 1, "A Simple File Format for NumPy Arrays"; the `npyz` crate decodes it. Its header parser recurses and
-//! multiplies without bounds, so headers that no array of poses needs are refused before it sees them.
+//! Source: NEP 1, "A Simple File Format for NumPy Arrays"; the `npyz` crate decodes it. Its header
+//! parser recurses and multiplies without bounds, so headers that no array of poses needs are
+//! refused before it sees them.
 
 use std::path::Path;
 
@@ -177,7 +179,8 @@ const EXPORT_AGAIN: &str = "export the clip again with numpy.save";
 
 /// Whether the header is one that `npyz` parses without unbounded recursion or overflow.
 ///
-/// 18 digits in all keep the product of the extents below 2^63; eight brackets are more than a plain array has.
+/// 18 digits in all keep the product of the extents below 2^63; eight brackets are more than a
+/// plain array has.
 fn is_tame(header: &[u8]) -> bool {
     let count = |is_counted: fn(u8) -> bool| header.iter().filter(|&&b| is_counted(b)).count();
     header.len() <= 1024
@@ -403,7 +406,8 @@ mod tests {
 
     #[test]
     fn fortran_order_is_brought_to_c_order() {
-        // Element (frame, joint, axis) is 100 frame + 10 joint + axis; in Fortran order the frame runs fastest.
+        // Element (frame, joint, axis) is 100 frame + 10 joint + axis; in Fortran order the frame
+        // runs fastest.
         let stored = [
             0.0f32, 100.0, 10.0, 110.0, 1.0, 101.0, 11.0, 111.0, 2.0, 102.0, 12.0, 112.0,
         ];

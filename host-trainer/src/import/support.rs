@@ -1,4 +1,5 @@
-//! What the importers' tests share: folders of files, NumPy bytes, and the question whether an error says enough.
+//! What the importers' tests share: folders of files, NumPy bytes, and the question whether an
+//! error says enough.
 
 use std::fmt::Debug;
 use std::fs;

@@ -146,7 +146,8 @@ impl Row {
     }
 }
 
-/// 99th percentile of the changes that are not 0: a servo that rests most of the time must not make every move a jump.
+/// 99th percentile of the changes that are not 0: a servo that rests most of the time must not make
+/// every move a jump.
 fn usual_change(changes: &[(usize, usize, f32)]) -> f32 {
     let mut sizes: Vec<f32> = changes
         .iter()

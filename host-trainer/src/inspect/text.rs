@@ -126,11 +126,9 @@ impl ClipReport {
             .map(|action| format!("{} ({})", action.name, action.clip_count))
             .collect();
         if !scarce.is_empty() {
-            warnings.push(format!(
-                "{} actions have fewer than {CLIPS_PER_ACTION_MIN} clips; --label-groups can join them: {}",
-                scarce.len(),
-                first_few(&scarce),
-            ));
+            let (count, few) = (scarce.len(), first_few(&scarce));
+            let text = format!("{count} actions have fewer than {CLIPS_PER_ACTION_MIN} clips");
+            warnings.push(format!("{text}; --label-groups can join them: {few}"));
         }
         warnings
     }

@@ -1,8 +1,10 @@
-//! Local transforms of all joints in all clips → root translation, rotations, and a skeleton of what stands still.
+//! Local transforms of all joints in all clips → root translation, rotations, and a skeleton of
+//! what stands still.
 //!
-//! Why here: whether a translation is a bone or a motion can only be seen over all clips. And many exporters put a
-//! still joint above the hips; kinematics with one moving root needs the hips to be that root, so single-child roots are
-//! folded into the child when the child itself travels. The child's place in the world does not change by that.
+//! Why here: whether a translation is a bone or a motion can only be seen over all clips. And many
+//! exporters put a still joint above the hips; kinematics with one moving root needs the hips to be
+//! that root, so the joint above is folded into them. The child's place in the world does not
+//! change by that.
 
 use std::path::Path;
 
@@ -16,11 +18,13 @@ use crate::skeleton::Skeleton;
 /// Numbers of a transform: translation x, y, z and the 6D rotation.
 const TRANSFORM_LEN: usize = 9;
 
-/// A translation that stays within this share of the longest offset is a bone; files carry six digits.
+/// A translation that stays within this share of the longest offset is a bone; files carry six
+/// digits.
 const STILL_SHARE: f64 = 1e-3;
 
 /// The transforms of every clip.
 pub(super) struct JointMotion {
+    /// Names, parents and scaled offsets.
     pub joints: Vec<Joint>,
     /// Unit of translations.
     pub unit: Unit,
@@ -145,9 +149,10 @@ impl JointMotion {
         (scale(sum, 1.0 / frame_count), travel)
     }
 
-    /// Folds the root into its only child as long as the child travels; returns the joint that is the root now.
+    /// Folds the root into its only child as long as that travels and branches, as hips do.
     ///
-    /// An only child follows its parent in the order of declaration, so the new root's index says how many went.
+    /// An only child follows its parent in the order of declaration, so the new root's index says
+    /// how many went.
     fn fold_root(
         &mut self,
         bones: &[Bone],
@@ -158,12 +163,8 @@ impl JointMotion {
         let width = self.joints.len() * TRANSFORM_LEN;
         let mut root = 0;
         loop {
-            let child_count = self
-                .joints
-                .iter()
-                .filter(|joint| joint.parent == Some(root))
-                .count();
-            if child_count != 1 || bones[root + 1].travel <= tolerance {
+            let is_hips = |joint| self.child_count(joint) > 1 && bones[joint].travel > tolerance;
+            if self.child_count(root) != 1 || !is_hips(root + 1) {
                 return root;
             }
             let (parent, child) = (&self.joints[root].name, &self.joints[root + 1].name);
@@ -181,6 +182,11 @@ impl JointMotion {
             }
             root += 1;
         }
+    }
+
+    fn child_count(&self, parent: usize) -> usize {
+        let is_child = |joint: &&Joint| joint.parent == Some(parent);
+        self.joints.iter().filter(is_child).count()
     }
 
     /// The root's translation is called "root"; a joint of that name makes room.
