@@ -29,13 +29,7 @@ impl Overwrite {
 pub fn check(path: &Path, overwrite: Overwrite) -> Result<()> {
     if overwrite == Overwrite::Refuse && path.exists() {
         let remedy = "choose another --out, or replace it with --force";
-        return Err(Error::bad_input(
-            path,
-            "output file",
-            "there already",
-            "a new file",
-            remedy,
-        ));
+        return Err(Error::bad_input(path, "output file", "there already", "a new file", remedy));
     }
     Ok(())
 }
@@ -78,9 +72,7 @@ fn write_and_rename(
     file.flush()?;
     file.get_ref().sync_all()?;
     fs::rename(partial, path)?;
-    let folder = path
-        .parent()
-        .filter(|folder| !folder.as_os_str().is_empty());
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
     // The rename itself lasts only when the folder has reached the disk.
     File::open(folder.unwrap_or(Path::new(".")))?.sync_all()
 }

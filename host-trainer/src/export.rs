@@ -51,11 +51,7 @@ impl Motion {
     /// Joint positions of every pose, or `None` where the layout is not a body. // (frame, joint)
     pub fn joint_positions(&self) -> Option<Vec<Vec<[f64; 3]>>> {
         let body = Body::new(&self.layout, self.skeleton.as_ref())?;
-        Some(
-            self.frames()
-                .map(|pose| body.joint_positions(pose))
-                .collect(),
-        )
+        Some(self.frames().map(|pose| body.joint_positions(pose)).collect())
     }
 }
 
@@ -106,9 +102,7 @@ pub fn write(
         files.push((file, bytes));
     }
     // All or none: a file that is in the way must not leave half of a pair behind.
-    files
-        .iter()
-        .try_for_each(|(file, _)| atomic_file::check(file, overwrite))?;
+    files.iter().try_for_each(|(file, _)| atomic_file::check(file, overwrite))?;
     for (file, bytes) in &files {
         atomic_file::write(file, bytes, overwrite)?;
     }
@@ -119,10 +113,7 @@ fn encode(motion: &Motion, format: ExportFormat, path: &Path) -> Result<Vec<u8>>
     match format {
         ExportFormat::Csv => Ok(csv(motion).into_bytes()),
         ExportFormat::Npy => {
-            let shape = [
-                motion.frame_count() as u64,
-                motion.layout.channel_count() as u64,
-            ];
+            let shape = [motion.frame_count() as u64, motion.layout.channel_count() as u64];
             npy(&shape, motion.poses.iter().copied()).map_err(Error::io("encode", path))
         }
         ExportFormat::Json => json(motion).map_err(Error::io("encode", path)),
@@ -169,11 +160,7 @@ fn npy(shape: &[u64], values: impl Iterator<Item = f32>) -> std::io::Result<Vec<
 
 fn joints_npy(joints: &[Vec<[f64; 3]>]) -> std::io::Result<Vec<u8>> {
     let joint_count = joints.first().map_or(0, Vec::len);
-    let values = joints
-        .iter()
-        .flatten()
-        .flatten()
-        .map(|element| *element as f32);
+    let values = joints.iter().flatten().flatten().map(|element| *element as f32);
     npy(&[joints.len() as u64, joint_count as u64, 3], values)
 }
 
@@ -216,11 +203,7 @@ mod tests {
     use crate::layout::{Group, GroupKind, Unit};
 
     fn group(name: &str, kind: GroupKind, unit: Unit) -> Group {
-        Group {
-            name: name.to_owned(),
-            kind,
-            unit,
-        }
+        Group { name: name.to_owned(), kind, unit }
     }
 
     fn servos() -> Motion {
@@ -261,11 +244,7 @@ mod tests {
         assert!(error.to_string().contains("--force"), "{error}");
         assert_eq!(std::fs::read_to_string(&path).unwrap(), "mine");
         write(&servos(), ExportFormat::Csv, &path, Overwrite::Replace).unwrap();
-        assert!(
-            std::fs::read_to_string(&path)
-                .unwrap()
-                .starts_with("# model.kara")
-        );
+        assert!(std::fs::read_to_string(&path).unwrap().starts_with("# model.kara"));
     }
 
     #[test]
@@ -291,10 +270,7 @@ mod tests {
         let motion = servos();
         let text = csv(&motion);
         let lines: Vec<&str> = text.lines().collect();
-        assert_eq!(
-            lines[1],
-            "# action nod, 0.06 s, seed 18446744073709551615, 50 Hz"
-        );
+        assert_eq!(lines[1], "# action nod, 0.06 s, seed 18446744073709551615, 50 Hz");
         assert_eq!(lines[2], "time_s,jaw_deg,lid_us");
         let values: Vec<f32> = lines[3..]
             .iter()

@@ -77,15 +77,8 @@ pub fn run(args: &GenerateArgs) -> Result<()> {
         }
     }
     if args.plot {
-        let path = args
-            .out
-            .join(format!("{}_seed{}.svg", args.action, args.seed));
-        let title = format!(
-            "{}, {} s, from {}",
-            args.action,
-            args.seconds,
-            args.source.display()
-        );
+        let path = args.out.join(format!("{}_seed{}.svg", args.action, args.seed));
+        let title = format!("{}, {} s, from {}", args.action, args.seconds, args.source.display());
         picture::write(&motions, &title, &path, overwrite)?;
         println!("{}", path.display());
     }
@@ -102,13 +95,9 @@ fn generate_all(args: &GenerateArgs) -> Result<Vec<Motion>> {
     if args.source.is_dir() {
         let checkpoint = Checkpoint::load(&args.source)?;
         let mixtures = mixture::file::of_checkpoint(&args.source, &checkpoint)?;
-        return requests
-            .map(|request| generate_float(&checkpoint, &mixtures, &request))
-            .collect();
+        return requests.map(|request| generate_float(&checkpoint, &mixtures, &request)).collect();
     }
     let blob = read_blob(&args.source)?;
     let model = load(&args.source, &blob)?;
-    requests
-        .map(|request| generate_blob(&args.source, &model, &request))
-        .collect()
+    requests.map(|request| generate_blob(&args.source, &model, &request)).collect()
 }

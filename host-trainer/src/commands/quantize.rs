@@ -83,10 +83,7 @@ pub fn run(args: &QuantizeArgs) -> Result<()> {
     atomic_file::check(&args.out, overwrite)?;
     let checkpoint = Checkpoint::load(&args.run)?;
     let mixtures = mixture::file::of_checkpoint(&args.run, &checkpoint)?;
-    let name = args
-        .run
-        .file_name()
-        .map_or_else(|| "model".into(), |name| name.to_string_lossy());
+    let name = args.run.file_name().map_or_else(|| "model".into(), |name| name.to_string_lossy());
     let quantized = quantize_checkpoint(
         &name,
         &checkpoint,
@@ -97,10 +94,7 @@ pub fn run(args: &QuantizeArgs) -> Result<()> {
     atomic_file::write(&args.out, &quantized.blob, overwrite)?;
     let report = BlobReport::new(&args.out, &quantized.blob)?;
     if args.json {
-        println!(
-            "{}",
-            serde_json::to_string_pretty(&report).unwrap_or_default()
-        );
+        println!("{}", serde_json::to_string_pretty(&report).unwrap_or_default());
         return Ok(());
     }
     print!("{report}");
