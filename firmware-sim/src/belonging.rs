@@ -17,20 +17,11 @@ use crate::error::{Error, Result};
 /// [`Error::BadInput`] with both values.
 pub fn check_belonging(checkpoint: &Checkpoint, model: &Model<'_>) -> Result<()> {
     let dataset = &checkpoint.dataset;
-    let blob_groups = model
-        .groups()
-        .map(|group| (group.name, group.kind, group.unit));
-    let run_groups = dataset
-        .layout
-        .groups
-        .iter()
-        .map(|group| (&*group.name, group.kind, group.unit));
+    let blob_groups = model.groups().map(|group| (group.name, group.kind, group.unit));
+    let run_groups =
+        dataset.layout.groups.iter().map(|group| (&*group.name, group.kind, group.unit));
     let facts = [
-        (
-            "actions",
-            model.actions().collect::<Vec<_>>().join(", "),
-            dataset.actions.join(", "),
-        ),
+        ("actions", model.actions().collect::<Vec<_>>().join(", "), dataset.actions.join(", ")),
         (
             "layout",
             format!("{:?}", blob_groups.collect::<Vec<_>>()),
@@ -58,11 +49,7 @@ pub fn check_belonging(checkpoint: &Checkpoint, model: &Model<'_>) -> Result<()>
 /// Numbers of β, α and sinusoids, then the outputs of every layer.
 fn blob_shape(model: &Model<'_>) -> String {
     let manifest = model.manifest();
-    let outputs = manifest
-        .layers
-        .iter()
-        .skip(1)
-        .map(|layer| usize::from(layer.output_count));
+    let outputs = manifest.layers.iter().skip(1).map(|layer| usize::from(layer.output_count));
     shape(
         manifest.sequence_code_count.into(),
         manifest.action_code_count.into(),
@@ -123,11 +110,6 @@ mod tests {
         checkpoint.layers.pop();
         let blob = fixture.blob(NumberFormat::F16);
         let error = refusal(&checkpoint, &blob);
-        assert!(
-            error
-                .to_string()
-                .contains("shape is 3+2+8 → 24 → 16 → 12 → 10"),
-            "{error}"
-        );
+        assert!(error.to_string().contains("shape is 3+2+8 → 24 → 16 → 12 → 10"), "{error}");
     }
 }

@@ -10,6 +10,14 @@
 //! is seeded anew in every call, so all repetitions of its evaluation score one and the same set of
 //! motions, sorted by component.
 
+pub mod interval;
+pub mod k_means;
+pub mod expectation_maximization;
+pub mod collapse;
+pub mod fit;
+pub mod set;
+pub mod file;
+
 use std::f64::consts::TAU;
 
 use rand::{Rng, RngExt};
@@ -30,9 +38,10 @@ pub struct MixtureConfig {
     pub interval_frames_min: usize,
     /// Least number of clips of an interval.
     pub interval_clips_min: usize,
-    /// Most numbers of components tried before a single Gaussian is taken.
+    /// Most numbers of components tried, by bisection, before the best so far is taken; 5 settle
+    /// any number up to 16.
     ///
-    /// Source: 100 for each number of components in the paper, 10 in the published code.
+    /// Source: 100 tries for each number of components in the paper, 10 in the published code.
     pub attempts_max: usize,
     /// Starts of the fit in one attempt; the likeliest is kept. Source: 1 in the published code.
     pub restarts: usize,
@@ -77,10 +86,7 @@ pub struct Component {
 
 impl Component {
     fn sample<R: Rng + ?Sized>(&self, rng: &mut R) -> Vec<f64> {
-        let noise: Vec<f64> = StandardNormal
-            .sample_iter(rng)
-            .take(self.mean.len())
-            .collect();
+        let noise: Vec<f64> = StandardNormal.sample_iter(rng).take(self.mean.len()).collect();
         let mut code = self.mean.clone();
         match &self.factor {
             Factor::Full(lower) => {
@@ -174,5 +180,107 @@ impl Mixture {
             .map(|component| component.weight.ln() + component.log_density(code))
             .collect();
         log_sum_exp(logs.into_iter())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+
+    fn mixture_of(factors: [Factor; 2]) -> Mixture {
+        let means = [vec![1.0, -2.0, 0.5], vec![-3.0, 4.0, 0.0]];
+        let components = means.into_iter().zip(factors).zip([0.25, 0.75]);
+        Mixture {
+            dimension_count: 3,
+            components: components
+                .map(|((mean, factor), weight)| Component { weight, mean, factor })
+                .collect(),
+        }
+    }
+
+    fn full() -> Mixture {
+        mixture_of([
+            Factor::Full(vec![1.0, 0.5, 2.0, -0.3, 0.2, 0.7]),
+            Factor::Full(vec![0.4, -0.1, 0.6, 0.8, 0.0, 0.3]),
+        ])
+    }
+
+    fn diagonal() -> Mixture {
+        mixture_of([Factor::Diagonal(vec![1.0, 2.0, 0.7]), Factor::Diagonal(vec![0.4, 0.6, 0.3])])
+    }
+
+    /// Element of the covariance L·Lᵀ.
+    fn covariance(factor: &Factor, row: usize, column: usize) -> f64 {
+        match factor {
+            Factor::Full(lower) => dot(triangle_row(lower, row), triangle_row(lower, column)),
+            Factor::Diagonal(deviations) if row == column => deviations[row] * deviations[row],
+            Factor::Diagonal(_) => 0.0,
+        }
+    }
+
+    #[test]
+    fn log_density_far_from_every_component_is_finite() {
+        for mixture in [full(), diagonal()] {
+            let log_density = mixture.log_density(&[1e6, -1e6, 1e6]);
+            assert!(log_density < -1e6 && log_density.is_finite());
+        }
+    }
+
+    #[test]
+    fn sum_of_nothing_is_minus_infinity_in_the_logarithm() {
+        assert_eq!(log_sum_exp([f64::NEG_INFINITY; 2].into_iter()), f64::NEG_INFINITY);
+        assert_eq!(log_sum_exp([-1e7, -1e7].into_iter()), -1e7 + 2f64.ln());
+    }
+
+    #[test]
+    fn log_density_of_a_standard_normal_matches_its_formula() {
+        let normal = Mixture {
+            dimension_count: 2,
+            components: vec![Component {
+                weight: 1.0,
+                mean: vec![0.0; 2],
+                factor: Factor::Full(vec![1.0, 0.0, 1.0]),
+            }],
+        };
+        let expected = -TAU.ln() - 0.5 * (9.0 + 16.0);
+        assert!((normal.log_density(&[3.0, 4.0]) - expected).abs() < 1e-12);
+    }
+
+    #[test]
+    fn mixture_sample_matches_mean_and_covariance() {
+        const COUNT: usize = 200_000;
+        for mixture in [full(), diagonal()] {
+            let mut rng = ChaCha8Rng::seed_from_u64(1);
+            let codes: Vec<_> = (0..COUNT).map(|_| mixture.sample(&mut rng)).collect();
+            let expectation = |value: &dyn Fn(&Component) -> f64| -> f64 {
+                mixture.components.iter().map(|c| c.weight * value(c)).sum()
+            };
+            for row in 0..3 {
+                let mean = codes.iter().map(|code| code[row]).sum::<f64>() / COUNT as f64;
+                assert!((mean - expectation(&|c| c.mean[row])).abs() < 0.03);
+                for column in 0..=row {
+                    let products = codes.iter().map(|code| code[row] * code[column]);
+                    let found = products.sum::<f64>() / COUNT as f64;
+                    let expected = expectation(&|c| {
+                        covariance(&c.factor, row, column) + c.mean[row] * c.mean[column]
+                    });
+                    assert!((found - expected).abs() < 0.1, "{found} is not {expected}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn components_come_in_random_order_and_no_two_codes_are_equal() {
+        let mixture = diagonal();
+        let mut rng = ChaCha8Rng::seed_from_u64(2);
+        let codes: Vec<_> = (0..1000).map(|_| mixture.sample(&mut rng)).collect();
+        let is_first: Vec<bool> = codes.iter().map(|code| code[1] < 1.0).collect();
+        let changes = is_first.windows(2).filter(|pair| pair[0] != pair[1]).count();
+        assert!((300..450).contains(&changes), "{changes} changes of 375 expected");
+        assert!(codes.windows(2).all(|pair| pair[0] != pair[1]));
     }
 }

@@ -53,39 +53,21 @@ fn print_table(parity: &Parity) {
 
 /// Name and value of every line; the last is the verdict, complete in itself.
 fn facts(parity: &Parity) -> Vec<(&'static str, String)> {
-    let Parity {
-        target,
-        machine,
-        emulated_core,
-        differences,
-        ram,
-        ..
-    } = parity;
+    let Parity { target, machine, emulated_core, differences, ram, .. } = parity;
     let stand_in = if emulated_core == target {
         String::new()
     } else {
         format!(", its code on a {emulated_core}")
     };
     let [actions, lengths] = [parity.action_count, parity.length_count];
-    let motions = format!(
-        "{}: {actions} actions, {lengths} lengths, a seed each",
-        parity.motion_count
-    );
+    let motions =
+        format!("{}: {actions} actions, {lengths} lengths, a seed each", parity.motion_count);
     let mut facts = vec![
         ("target", format!("{target} (QEMU {machine}{stand_in})")),
-        (
-            "blob",
-            format!("{}, {} bytes", parity.number_format, parity.blob_bytes),
-        ),
+        ("blob", format!("{}, {} bytes", parity.number_format, parity.blob_bytes)),
         ("motions", motions),
         ("bits compared", differences.bits_compared.to_string()),
-        (
-            "RAM",
-            format!(
-                "{} bytes stack + {} static",
-                ram.stack_bytes_max, ram.static_bytes
-            ),
-        ),
+        ("RAM", format!("{} bytes stack + {} static", ram.stack_bytes_max, ram.static_bytes)),
         ("emulation", format!("{:.1} s", parity.emulation_s)),
     ];
     if let Some(share) = parity.tolerance_used {
@@ -96,11 +78,7 @@ fn facts(parity: &Parity) -> Vec<(&'static str, String)> {
         ));
     }
     facts.extend(differences.first.map(|first| ("first", describe(first))));
-    let word = if parity.passes() {
-        "equal"
-    } else {
-        "DIFFERENT"
-    };
+    let word = if parity.passes() { "equal" } else { "DIFFERENT" };
     let (poses, bits) = (parity.pose_count, differences.bits_differing);
     let mut verdict = format!("{word}: {poses} poses on {target}, {bits} bits differing");
     if bits != 0 {
@@ -113,10 +91,7 @@ fn facts(parity: &Parity) -> Vec<(&'static str, String)> {
 fn describe(first: Difference) -> String {
     let value = |bits: i32| f64::from(bits) / f64::from(1 << Pose::FRACTION_BITS);
     let (host, device) = (value(first.host), value(first.device));
-    format!(
-        "pose {} channel {}: host {host:.6}, device {device:.6}",
-        first.pose, first.channel
-    )
+    format!("pose {} channel {}: host {host:.6}, device {device:.6}", first.pose, first.channel)
 }
 
 #[cfg(test)]
@@ -145,12 +120,7 @@ mod tests {
 
     #[test]
     fn one_differing_bit_fails_an_integer_format_and_is_described() {
-        let first = Difference {
-            pose: 1,
-            channel: 2,
-            host: 65_536,
-            device: 65_537,
-        };
+        let first = Difference { pose: 1, channel: 2, host: 65_536, device: 65_537 };
         let differences = Differences {
             bits_compared: 96,
             bits_differing: 1,
@@ -160,10 +130,7 @@ mod tests {
         let parity = parity(differences.clone(), None);
         assert!(!parity.passes());
         let text = format!("{:?}", facts(&parity));
-        assert!(
-            text.contains("pose 1 channel 2: host 1.000000, device 1.000015"),
-            "{text}"
-        );
+        assert!(text.contains("pose 1 channel 2: host 1.000000, device 1.000015"), "{text}");
         assert!(text.contains("DIFFERENT: 3 poses on cortex-m0plus, 1 bits differing in 1 poses"));
     }
 

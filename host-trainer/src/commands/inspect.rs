@@ -1,30 +1,13 @@
 //! `host-trainer inspect PATH`: explains clips, or a blob.
 
-use std::path::PathBuf;
-
-use crate::inspect_blob::read_blob;
-use crate::commands::inspect_clips::{self, ImportArgs};
+use crate::commands::inspect_clips::{self, InspectClipsArgs};
 use crate::error::Result;
-use crate::inspect_blob::BlobReport;
+use crate::inspect::blob::{BlobReport, read_blob};
 
-/// Arguments of `inspect`.
-#[derive(Clone, Debug, clap::Args)]
-#[command(after_help = "Examples:\n  host-trainer inspect clips --fps 50\n  host-trainer inspect creature.kara")]
-pub struct InspectArgs {
-    /// A folder of clips, a clip, or a blob (`.kara`).
-    pub path: PathBuf,
-    /// Print JSON.
-    #[arg(long)]
-    pub json: bool,
-    /// How clips are read.
-    #[command(flatten)]
-    pub import: ImportArgs,
-}
-
-/// Prints a report on stdout.
-pub fn run(args: &InspectArgs) -> Result<()> {
+/// Prints a report on stdout: of a blob when the path ends in `.kara`, of clips otherwise.
+pub fn run(args: &InspectClipsArgs) -> Result<()> {
     if args.path.extension().is_none_or(|extension| extension != "kara") {
-        return inspect_clips::run(&args.path, &args.import, args.json);
+        return inspect_clips::run(args);
     }
     let blob = read_blob(&args.path)?;
     let report = BlobReport::new(&args.path, &blob)?;

@@ -92,7 +92,7 @@ impl ImportArgs {
 /// Reports what clip files hold.
 #[derive(Clone, Debug, clap::Args)]
 pub struct InspectClipsArgs {
-    /// Clip file, or folder of clip files
+    /// Clip file, folder of clip files, or blob (`.kara`)
     pub path: PathBuf,
     /// Print JSON instead of tables
     #[arg(long)]
@@ -105,7 +105,8 @@ pub struct InspectClipsArgs {
 /// Prints the report on stdout; warnings in it are no error.
 ///
 /// # Errors
-/// [`Error::BadInput`] and [`Error::Io`] of the import, except for what `inspect` is there to report.
+/// [`Error::BadInput`] and [`Error::Io`] of the import, except for what `inspect` is there to
+/// report.
 pub fn run(args: &InspectClipsArgs) -> Result<()> {
     let options = ImportOptions {
         tolerate_non_finite: true,
@@ -130,4 +131,51 @@ pub fn run(args: &InspectClipsArgs) -> Result<()> {
 fn parse_unit(text: &str) -> std::result::Result<Unit, String> {
     let known = import::UNITS.map(Unit::suffix).join(", ");
     import::unit_of_suffix(text).ok_or_else(|| format!("expected one of {known}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+
+    use super::*;
+
+    #[derive(Debug, clap::Parser)]
+    struct Command {
+        #[command(flatten)]
+        inspect: InspectClipsArgs,
+    }
+
+    fn parsed(line: &str) -> std::result::Result<ImportArgs, clap::Error> {
+        let words = ["inspect", "clips"].into_iter().chain(line.split_whitespace());
+        Command::try_parse_from(words).map(|command| command.inspect.import)
+    }
+
+    #[test]
+    fn contradictory_and_unknown_values_are_refused() {
+        for line in [
+            "--labels a.csv --label-folder",
+            "--label-pattern (a) --label-folder",
+            "--labels a.csv --label-pattern (a)",
+            "--unit furlong",
+            "--format mp4",
+            "--fps fast",
+        ] {
+            assert!(parsed(line).is_err(), "{line}");
+        }
+        assert!(parsed("--unit furlong").unwrap_err().to_string().contains("one, rad, deg"));
+    }
+
+    #[test]
+    fn flags_become_options() {
+        let line = "--format npy --fps 20 --unit cm --scale 0.05 --names jaw,neck \
+                    --label-action-column coarse --label-groups groups.toml";
+        let options = parsed(line).unwrap().options().unwrap();
+        assert_eq!(options.format, Some(Format::Npy));
+        assert_eq!((options.rate_hz, options.scale), (Some(20.0), Some(0.05)));
+        assert_eq!((options.unit, options.names.len()), (Some(Unit::Centimetre), 2));
+        assert_eq!(options.labels.action_column.as_deref(), Some("coarse"));
+        assert!(matches!(options.labels.source, LabelSource::Auto));
+        let pattern = parsed("--label-pattern ^([a-z]+)").unwrap().options().unwrap();
+        assert!(matches!(pattern.labels.source, LabelSource::Pattern(_)));
+    }
 }

@@ -14,27 +14,27 @@
 
 use std::collections::HashMap;
 use std::fs;
-use std::io::{ErrorKind, Write};
+use std::io::ErrorKind;
 use std::path::Path;
 use std::vec::IntoIter;
 
 use safetensors::tensor::{Dtype, SafeTensors, TensorView, serialize};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
-use tempfile::NamedTempFile;
 
-use crate::checkpoint::Checkpoint;
+use crate::atomic_file::{self, Overwrite};
+use crate::checkpoint::{Checkpoint, hexadecimal};
 use crate::dataset::DatasetDescription;
 use crate::error::{Error, Result};
-use crate::fit::fit;
 use crate::float_model::CodeTable;
+use crate::mixture::fit::fit;
+use crate::mixture::set::{Fallback, FitReport, IntervalMixture, MixtureSet};
 use crate::mixture::{Component, Covariance, Factor, Mixture, MixtureConfig};
-use crate::mixture_set::{Fallback, FitReport, IntervalMixture, MixtureSet};
 
 /// The file's name within the run's folder.
 pub const FILE_NAME: &str = "mixture.safetensors";
 /// Part of the key; change it whenever `fit` would give other mixtures for the same input.
-const FIT_VERSION: &str = "karakuri mixture 1";
+const FIT_VERSION: &str = "karakuri mixture 2";
 
 /// The mixtures of a run's codes: read from its cache, or fitted and cached.
 ///
@@ -42,13 +42,7 @@ const FIT_VERSION: &str = "karakuri mixture 1";
 /// See [`fit_or_read`].
 pub fn of_checkpoint(run: &Path, checkpoint: &Checkpoint) -> Result<MixtureSet> {
     let config = &checkpoint.config;
-    fit_or_read(
-        run,
-        &checkpoint.sequence_codes,
-        &checkpoint.dataset,
-        &config.mixture,
-        config.seed,
-    )
+    fit_or_read(run, &checkpoint.sequence_codes, &checkpoint.dataset, &config.mixture, config.seed)
 }
 
 /// Reads the run's mixtures if they were fitted to this very input, otherwise fits and writes them.
@@ -82,14 +76,8 @@ pub fn key(
 ) -> String {
     let mut hash = Sha256::new();
     // Debug prints every field and every digit of a number, and cannot fail.
-    hash.update(format!(
-        "{FIT_VERSION} {seed} {config:?} {}",
-        codes.dimension_count
-    ));
-    hash.update(format!(
-        "{:?} {:?}",
-        description.actions, description.rate_hz
-    ));
+    hash.update(format!("{FIT_VERSION} {seed} {config:?} {}", codes.dimension_count));
+    hash.update(format!("{:?} {:?}", description.actions, description.rate_hz));
     hash.update(format!("{:?}", description.clips));
     for number in codes.mean.iter().chain(&codes.log_variance) {
         hash.update(number.to_le_bytes());
@@ -140,19 +128,11 @@ struct Numbers {
 
 impl Numbers {
     fn of(mixtures: &MixtureSet) -> Self {
-        let components = || {
-            mixtures
-                .intervals
-                .iter()
-                .flat_map(|i| &i.mixture.components)
-        };
+        let components = || mixtures.intervals.iter().flat_map(|i| &i.mixture.components);
         let reports = mixtures.intervals.iter().map(|interval| &interval.report);
         Self {
             weight: components().map(|component| component.weight).collect(),
-            mean: components()
-                .flat_map(|component| &component.mean)
-                .copied()
-                .collect(),
+            mean: components().flat_map(|component| &component.mean).copied().collect(),
             factor: components().flat_map(factor_numbers).copied().collect(),
             log_likelihood_mean: reports.map(|report| report.log_likelihood_mean).collect(),
         }
@@ -189,10 +169,9 @@ fn factor_numbers(component: &Component) -> &[f64] {
 }
 
 fn write(path: &Path, key: &str, mixtures: &MixtureSet) -> Result<()> {
-    let bytes = emit(key, mixtures).map_err(std::io::Error::other);
-    bytes
-        .and_then(|bytes| write_atomically(path, &bytes))
-        .map_err(Error::io("write", path))
+    let bytes =
+        emit(key, mixtures).map_err(std::io::Error::other).map_err(Error::io("write", path))?;
+    atomic_file::write(path, &bytes, Overwrite::Replace)
 }
 
 fn emit(key: &str, mixtures: &MixtureSet) -> anyhow::Result<Vec<u8>> {
@@ -205,10 +184,7 @@ fn emit(key: &str, mixtures: &MixtureSet) -> anyhow::Result<Vec<u8>> {
         ("outline".to_owned(), outline),
     ]);
     let tensors = numbers.named().map(|(name, values)| {
-        let bytes: Vec<u8> = values
-            .iter()
-            .flat_map(|value| value.to_le_bytes())
-            .collect();
+        let bytes: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
         (name, values.len(), bytes)
     });
     let views = tensors
@@ -216,15 +192,6 @@ fn emit(key: &str, mixtures: &MixtureSet) -> anyhow::Result<Vec<u8>> {
         .map(|(name, count, bytes)| Ok((*name, TensorView::new(Dtype::F64, vec![*count], bytes)?)))
         .collect::<anyhow::Result<Vec<_>>>()?;
     Ok(serialize(views, Some(metadata))?)
-}
-
-/// Leaves the old bytes or the new ones, whenever the process or the machine stops.
-fn write_atomically(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
-    let mut file = NamedTempFile::new_in(path.parent().unwrap_or(Path::new(".")))?;
-    file.write_all(bytes)?;
-    file.as_file().sync_all()?;
-    file.persist(path)?;
-    Ok(())
 }
 
 /// `None` when there is no file, or it is another fit's, or it is damaged.
@@ -264,10 +231,7 @@ fn parse(bytes: &[u8], key: &str, dimension_count: usize) -> Option<Vec<Interval
         log_likelihood_mean: numbers.log_likelihood_mean.into_iter(),
     };
     let outlines: Vec<Outline> = serde_json::from_str(outline).ok()?;
-    outlines
-        .into_iter()
-        .map(|outline| reader.interval(outline))
-        .collect()
+    outlines.into_iter().map(|outline| reader.interval(outline)).collect()
 }
 
 /// Hands out the tensors' numbers in the file's order.
@@ -289,10 +253,7 @@ impl Reader {
             frames_min: outline.frames_min,
             frames_max: outline.frames_max,
             clips: outline.clips,
-            mixture: Mixture {
-                dimension_count: self.dimension_count,
-                components,
-            },
+            mixture: Mixture { dimension_count: self.dimension_count, components },
             report: FitReport {
                 attempt_count: outline.attempt_count,
                 fallback: outline.fallback,
@@ -332,6 +293,136 @@ fn checksum(key: &str, outline: &str, numbers: &Numbers) -> String {
     hexadecimal(&hash.finalize())
 }
 
-fn hexadecimal(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dataset::ClipDescription;
+    use crate::layout::PoseLayout;
+
+    struct Run {
+        codes: CodeTable,
+        description: DatasetDescription,
+        config: MixtureConfig,
+        seed: u64,
+    }
+
+    fn run() -> Run {
+        let clip = |row: usize| ClipDescription {
+            name: format!("clip{row}"),
+            action: 0,
+            frame_count: 20 + 5 * row,
+        };
+        Run {
+            codes: CodeTable {
+                dimension_count: 3,
+                mean: (0..36).map(|i| (1.3 * i as f32).sin()).collect(),
+                log_variance: vec![-3.0; 36],
+            },
+            description: DatasetDescription {
+                layout: PoseLayout::default(),
+                rate_hz: 50.0,
+                actions: vec!["bow".into()],
+                clips: (0..12).map(clip).collect(),
+                mean: Vec::new(),
+                scale: Vec::new(),
+                skeleton: None,
+            },
+            config: MixtureConfig {
+                components_max: 4,
+                covariance: Covariance::Full,
+                draws_per_clip: 10,
+                interval_frames_min: 10,
+                interval_clips_min: 5,
+                attempts_max: 5,
+                restarts: 1,
+                regularization: 1e-3,
+                collapse_distance: 0.0,
+            },
+            seed: 1,
+        }
+    }
+
+    impl Run {
+        fn key(&self) -> String {
+            key(&self.codes, &self.description, &self.config, self.seed)
+        }
+
+        fn fit_or_read(&self, folder: &Path) -> Result<MixtureSet> {
+            fit_or_read(folder, &self.codes, &self.description, &self.config, self.seed)
+        }
+
+        fn parse(&self, bytes: &[u8]) -> Option<Vec<IntervalMixture>> {
+            parse(bytes, &self.key(), self.codes.dimension_count)
+        }
+    }
+
+    #[test]
+    fn folder_that_does_not_exist_is_an_error_that_names_the_file() {
+        let message = run().fit_or_read(Path::new("/no/such/run")).unwrap_err().to_string();
+        assert!(message.starts_with("/no/such/run/mixture.safetensors: cannot write"), "{message}");
+    }
+
+    #[test]
+    fn file_cut_at_any_length_or_with_any_byte_changed_is_not_used() {
+        let run = run();
+        let mixtures = fit(&run.codes, &run.description, &run.config, run.seed).unwrap();
+        let bytes = emit(&run.key(), &mixtures).unwrap();
+        assert_eq!(run.parse(&bytes), Some(mixtures.intervals));
+        for len in 0..bytes.len() {
+            assert_eq!(run.parse(&bytes[..len]), None);
+        }
+        for index in 0..bytes.len() {
+            let mut damaged = bytes.clone();
+            damaged[index] ^= 0x20;
+            // Spaces in the header may change without changing its meaning.
+            assert!(run.parse(&damaged).is_none_or(|_| matches!(bytes[index], b' ' | 0)));
+        }
+    }
+
+    #[test]
+    fn damaged_file_is_made_again() {
+        let folder = tempfile::tempdir().unwrap();
+        let expected = run().fit_or_read(folder.path()).unwrap();
+        fs::write(folder.path().join(FILE_NAME), b"not a file of ours").unwrap();
+        assert_eq!(run().fit_or_read(folder.path()).unwrap(), expected);
+        let bytes = fs::read(folder.path().join(FILE_NAME)).unwrap();
+        assert_eq!(run().parse(&bytes), Some(expected.intervals));
+    }
+
+    #[test]
+    fn second_call_reads_what_the_first_wrote_bit_for_bit() {
+        for covariance in [Covariance::Full, Covariance::Diagonal] {
+            let mut run = run();
+            run.config.covariance = covariance;
+            let folder = tempfile::tempdir().unwrap();
+            let fitted = run.fit_or_read(folder.path()).unwrap();
+            let path = folder.path().join(FILE_NAME);
+            let written = fs::metadata(&path).unwrap().modified().unwrap();
+            assert_eq!(run.fit_or_read(folder.path()).unwrap(), fitted);
+            assert_eq!(fs::metadata(&path).unwrap().modified().unwrap(), written);
+            assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+        }
+    }
+
+    #[test]
+    fn key_changes_with_everything_that_the_fit_depends_on() {
+        let changes: [fn(&mut Run); 7] = [
+            |run| run.codes.mean[5] += 1e-6,
+            |run| run.codes.log_variance[5] += 1e-6,
+            |run| run.seed += 1,
+            |run| run.config.regularization *= 2.0,
+            |run| run.description.clips[3].frame_count += 1,
+            |run| run.description.actions[0].push('s'),
+            |run| run.description.rate_hz += 1.0,
+        ];
+        let mut keys = vec![run().key()];
+        for change in changes {
+            let mut run = run();
+            change(&mut run);
+            keys.push(run.key());
+        }
+        keys.sort_unstable();
+        keys.dedup();
+        assert_eq!(keys.len(), 8);
+    }
 }

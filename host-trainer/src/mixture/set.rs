@@ -48,7 +48,7 @@ pub struct IntervalMixture {
     /// Greatest number of poses served, inclusive.
     pub frames_max: usize,
     /// Rows of the code table that the mixture was fitted to; see
-    /// [`Interval`](crate::interval::Interval).
+    /// [`Interval`](crate::mixture::interval::Interval).
     pub clips: Vec<usize>,
     /// The density.
     pub mixture: Mixture,
@@ -143,9 +143,7 @@ impl MixtureSet {
             None => format!("number {action}"),
         };
         let trained = |&(index, _): &(usize, &String)| {
-            self.intervals
-                .iter()
-                .any(|interval| interval.action == index)
+            self.intervals.iter().any(|interval| interval.action == index)
         };
         let names: Vec<&str> = self
             .actions
@@ -161,5 +159,86 @@ impl MixtureSet {
             format!("one of {}", names.join(", ")),
             "ask for a trained action",
         )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+    use crate::mixture::{Component, Factor};
+
+    /// A mixture whose codes lie at `centre`.
+    fn interval(action: usize, frames: RangeInclusive<usize>, centre: f64) -> IntervalMixture {
+        IntervalMixture {
+            action,
+            frames_min: *frames.start(),
+            frames_max: *frames.end(),
+            clips: vec![0],
+            mixture: Mixture {
+                dimension_count: 1,
+                components: vec![Component {
+                    weight: 1.0,
+                    mean: vec![centre],
+                    factor: Factor::Diagonal(vec![0.01]),
+                }],
+            },
+            report: FitReport { attempt_count: 1, fallback: None, log_likelihood_mean: 0.0 },
+        }
+    }
+
+    fn mixture_set() -> MixtureSet {
+        MixtureSet {
+            actions: ["bow", "nod", "walk"].map(String::from).to_vec(),
+            rate_hz: 20.0,
+            intervals: vec![
+                interval(0, 10..=19, 1.0),
+                interval(0, 20..=40, 2.0),
+                interval(2, 5..=9, 3.0),
+            ],
+        }
+    }
+
+    fn refusal(action: usize, frames: usize) -> String {
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        mixture_set().sample(action, frames, &mut rng).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn untrained_duration_is_refused_with_action_seconds_range_and_remedy() {
+        let expected = "action `bow`: duration is 41 frames (2.05 s), expected 10 to 40 frames \
+            (0.50 to 2.00 s at 20 Hz), as in the training clips; \
+            ask for a trained duration, or add --clamp to take the nearest";
+        assert_eq!(refusal(0, 41), expected);
+        assert!(refusal(0, 9).contains("duration is 9 frames (0.45 s)"));
+        assert!(refusal(2, 0).contains("expected 5 to 9 frames"));
+    }
+
+    #[test]
+    fn unknown_and_untrained_actions_are_refused_with_the_trained_ones() {
+        assert!(refusal(3, 20).contains("action is number 3, expected one of bow, walk;"));
+        assert!(refusal(1, 20).contains("action is `nod`, which has no training clips"));
+        assert!(mixture_set().clamp_frames(1, 20).is_err());
+    }
+
+    #[test]
+    fn duration_is_served_by_the_interval_that_contains_it() {
+        let mixtures = mixture_set();
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        // 20 lies nearer to the centre of the first interval.
+        for (frames, centre) in [(10, 1.0), (19, 1.0), (20, 2.0), (40, 2.0)] {
+            let code = mixtures.sample(0, frames, &mut rng).unwrap();
+            assert!((code[0] - centre).abs() < 0.2);
+        }
+    }
+
+    #[test]
+    fn clamped_duration_is_the_nearest_trained_one() {
+        let mixtures = mixture_set();
+        for (asked, clamped) in [(0, 10), (10, 10), (25, 25), (40, 40), (usize::MAX, 40)] {
+            assert_eq!(mixtures.clamp_frames(0, asked).unwrap(), clamped);
+        }
     }
 }
