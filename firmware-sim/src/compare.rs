@@ -106,20 +106,11 @@ pub fn compare(
 /// Figures of two different models say nothing, so everything that both files know must be equal.
 fn check_belonging(checkpoint: &Checkpoint, model: &Model<'_>) -> Result<()> {
     let dataset = &checkpoint.dataset;
-    let blob_groups = model
-        .groups()
-        .map(|group| (group.name, group.kind, group.unit));
-    let run_groups = dataset
-        .layout
-        .groups
-        .iter()
-        .map(|group| (&*group.name, group.kind, group.unit));
+    let blob_groups = model.groups().map(|group| (group.name, group.kind, group.unit));
+    let run_groups =
+        dataset.layout.groups.iter().map(|group| (&*group.name, group.kind, group.unit));
     let facts = [
-        (
-            "actions",
-            model.actions().collect::<Vec<_>>().join(", "),
-            dataset.actions.join(", "),
-        ),
+        ("actions", model.actions().collect::<Vec<_>>().join(", "), dataset.actions.join(", ")),
         (
             "layout",
             format!("{:?}", blob_groups.collect::<Vec<_>>()),
@@ -147,11 +138,7 @@ fn check_belonging(checkpoint: &Checkpoint, model: &Model<'_>) -> Result<()> {
 /// Numbers of β, α and sinusoids, then the outputs of every layer.
 fn blob_shape(model: &Model<'_>) -> String {
     let manifest = model.manifest();
-    let outputs = manifest
-        .layers
-        .iter()
-        .skip(1)
-        .map(|layer| usize::from(layer.output_count));
+    let outputs = manifest.layers.iter().skip(1).map(|layer| usize::from(layer.output_count));
     shape(
         manifest.sequence_code_count.into(),
         manifest.action_code_count.into(),
@@ -189,11 +176,7 @@ fn training_motions(
     model: &Model<'_>,
     poses_per_clip: usize,
 ) -> Vec<Motion> {
-    let clips = checkpoint
-        .dataset
-        .clips
-        .iter()
-        .zip(checkpoint.sequence_codes.rows());
+    let clips = checkpoint.dataset.clips.iter().zip(checkpoint.sequence_codes.rows());
     clips
         .map(|(clip, sequence_code)| {
             let action_code = checkpoint.action_codes.row(clip.action);
@@ -214,9 +197,7 @@ fn evenly_spaced_frames(frame_count: usize, count: usize) -> Vec<FramePosition> 
     let count = count.min(frame_count);
     let last = frame_count.saturating_sub(1);
     let frame = |index: usize| (index * last / (count - 1).max(1)) as u32;
-    (0..count)
-        .map(|index| FramePosition::from_frames(frame(index)))
-        .collect()
+    (0..count).map(|index| FramePosition::from_frames(frame(index))).collect()
 }
 
 /// The motions of `choose_cases`, with the codes that the device would draw.
@@ -224,9 +205,7 @@ fn drawn_motions(model: &Model<'_>, pose_count: usize) -> Vec<Motion> {
     let motion = |case: &crate::case::Case| {
         let mut rng = Pcg32::new(case.seed);
         let action = ActionId(case.action);
-        let code = model
-            .sample(action, case.frames, &mut || rng.next_u32())
-            .ok()?;
+        let code = model.sample(action, case.frames, &mut || rng.next_u32()).ok()?;
         Some(Motion {
             float_code: model.code_to_f32(&code).map(f64::from).collect(),
             device_code: code,
@@ -234,10 +213,7 @@ fn drawn_motions(model: &Model<'_>, pose_count: usize) -> Vec<Motion> {
             frame_count: case.frames as usize,
         })
     };
-    choose_cases(model, pose_count)
-        .iter()
-        .filter_map(motion)
-        .collect()
+    choose_cases(model, pose_count).iter().filter_map(motion).collect()
 }
 
 /// Decodes every motion on both sides, on all cores of this machine; the order of the result is that of `motions`.
@@ -254,10 +230,7 @@ fn decode_twice(
         let mut decoder = Decoder::new(model, &mut workspace)?;
         while let Some((index, motion)) = take_next(&next, motions) {
             let pairs = motion.decode(&mut decoder, Reference::new(checkpoint));
-            found
-                .lock()
-                .unwrap_or_else(|poisoned| poisoned.into_inner())
-                .push((index, pairs));
+            found.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).push((index, pairs));
             progress.inc(1);
         }
         Ok(())
@@ -265,16 +238,12 @@ fn decode_twice(
     let thread_count = thread::available_parallelism().map_or(1, usize::from);
     thread::scope(|scope| {
         let threads: Vec<_> = (0..thread_count).map(|_| scope.spawn(work)).collect();
-        threads
-            .into_iter()
-            .try_for_each(|thread| match thread.join() {
-                Ok(outcome) => outcome,
-                Err(panic) => std::panic::resume_unwind(panic),
-            })
+        threads.into_iter().try_for_each(|thread| match thread.join() {
+            Ok(outcome) => outcome,
+            Err(panic) => std::panic::resume_unwind(panic),
+        })
     })?;
-    let mut found = found
-        .into_inner()
-        .unwrap_or_else(|poisoned| poisoned.into_inner());
+    let mut found = found.into_inner().unwrap_or_else(|poisoned| poisoned.into_inner());
     found.sort_unstable_by_key(|(index, _)| *index);
     Ok(found.into_iter().flat_map(|(_, pairs)| pairs).collect())
 }
@@ -295,10 +264,7 @@ impl Motion {
         pairs
             .map(|(&position, float)| {
                 decoder.decode(position, &mut pose);
-                PosePair {
-                    device: pose.values().collect(),
-                    float,
-                }
+                PosePair { device: pose.values().collect(), float }
             })
             .collect()
     }
@@ -310,11 +276,8 @@ mod tests {
     use crate::fixture::Fixture;
     use karakuri::NumberFormat;
 
-    const OPTIONS: Options = Options {
-        poses_per_clip: 8,
-        draw_pose_count: 64,
-        rows: Rows::PerKind,
-    };
+    const OPTIONS: Options =
+        Options { poses_per_clip: 8, draw_pose_count: 64, rows: Rows::PerKind };
 
     fn compare_fixtures(run: &Fixture, blob: &[u8]) -> Result<Comparison> {
         let checkpoint = Checkpoint::read(run.run().path())?;
@@ -346,12 +309,7 @@ mod tests {
         checkpoint.layers.pop();
         let blob = fixture.blob(NumberFormat::F16);
         let error = compare(&checkpoint, &blob, OPTIONS, &ProgressBar::hidden()).unwrap_err();
-        assert!(
-            error
-                .to_string()
-                .contains("shape is 3+2+8 → 24 → 16 → 12 → 10"),
-            "{error}"
-        );
+        assert!(error.to_string().contains("shape is 3+2+8 → 24 → 16 → 12 → 10"), "{error}");
     }
 
     #[test]
@@ -366,10 +324,7 @@ mod tests {
     fn frames_of_a_clip_are_spread_from_first_to_last() {
         let frames = |frame_count, count| -> Vec<u32> {
             let positions = evenly_spaced_frames(frame_count, count);
-            positions
-                .iter()
-                .map(|position| position.to_bits() >> 16)
-                .collect()
+            positions.iter().map(|position| position.to_bits() >> 16).collect()
         };
         assert!(frames(0, 4).is_empty());
         assert_eq!(frames(1, 4), [0]);
@@ -381,19 +336,14 @@ mod tests {
     #[test]
     fn errors_of_every_format_stay_within_its_resolution() {
         let fixture = Fixture::new(1);
-        for (format, signal_to_noise_db_min) in [
-            (NumberFormat::F16, 80.0),
-            (NumberFormat::W8A16, 60.0),
-            (NumberFormat::W8A8, 15.0),
-        ] {
+        for (format, signal_to_noise_db_min) in
+            [(NumberFormat::F16, 80.0), (NumberFormat::W8A16, 60.0), (NumberFormat::W8A8, 15.0)]
+        {
             let comparison = compare_fixtures(&fixture, &fixture.blob(format)).unwrap();
             for table in [&comparison.training_clips, &comparison.mixture_draws] {
                 for row in &table.rows {
                     println!("{row:?}");
-                    assert!(
-                        row.signal_to_noise_db.unwrap() > signal_to_noise_db_min,
-                        "{row:?}"
-                    );
+                    assert!(row.signal_to_noise_db.unwrap() > signal_to_noise_db_min, "{row:?}");
                 }
             }
         }

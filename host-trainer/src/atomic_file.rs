@@ -35,9 +35,7 @@ fn write_and_rename(
     file.flush()?;
     file.get_ref().sync_all()?;
     fs::rename(partial, path)?;
-    let folder = path
-        .parent()
-        .filter(|folder| !folder.as_os_str().is_empty());
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
     // The rename itself lasts only when the folder has reached the disk.
     File::open(folder.unwrap_or(Path::new(".")))?.sync_all()
 }

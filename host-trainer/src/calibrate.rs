@@ -37,13 +37,9 @@ const VALUE_COUNT_MAX: usize = 200_000;
 
 /// Decodes all cases and observes the input of every layer after the first. // (layer - 1)
 pub fn calibrate(model: &FloatModel, cases: &[CalibrationCase]) -> Vec<Observed> {
-    let inputs: Vec<Vec<Vec<f32>>> = cases
-        .par_iter()
-        .flat_map_iter(|case| observe(model, case))
-        .collect();
-    (0..model.layers.len() - 1)
-        .map(|layer| summarize(&inputs, layer))
-        .collect()
+    let inputs: Vec<Vec<Vec<f32>>> =
+        cases.par_iter().flat_map_iter(|case| observe(model, case)).collect();
+    (0..model.layers.len() - 1).map(|layer| summarize(&inputs, layer)).collect()
 }
 
 /// Inputs of every layer after the first, for every frame of a case. // (frame)(layer - 1)(input)
@@ -66,19 +62,11 @@ fn observe(model: &FloatModel, case: &CalibrationCase) -> Vec<Vec<Vec<f32>>> {
 
 fn elu_layer(layer: &DenseLayer, input: &[f32]) -> Vec<f32> {
     let row = |(weights, bias): (&[f32], &f32)| {
-        let products = weights
-            .iter()
-            .zip(input)
-            .map(|(weight, value)| weight * value);
+        let products = weights.iter().zip(input).map(|(weight, value)| weight * value);
         let sum = products.sum::<f32>() + bias;
         if sum >= 0.0 { sum } else { sum.exp_m1() }
     };
-    layer
-        .weights
-        .chunks_exact(layer.input_count)
-        .zip(&layer.bias)
-        .map(row)
-        .collect()
+    layer.weights.chunks_exact(layer.input_count).zip(&layer.bias).map(row).collect()
 }
 
 fn summarize(inputs: &[Vec<Vec<f32>>], layer: usize) -> Observed {
@@ -89,19 +77,12 @@ fn summarize(inputs: &[Vec<Vec<f32>>], layer: usize) -> Observed {
             *sum += f64::from(*value);
         }
     }
-    let all = || {
-        inputs
-            .iter()
-            .flat_map(|layers| layers[layer].iter().copied())
-    };
+    let all = || inputs.iter().flat_map(|layers| layers[layer].iter().copied());
     let stride = (inputs.len() * width).div_ceil(VALUE_COUNT_MAX).max(1);
     Observed {
         min: all().fold(0.0, f32::min),
         max: all().fold(0.0, f32::max),
-        mean: sums
-            .iter()
-            .map(|sum| (sum / inputs.len().max(1) as f64) as f32)
-            .collect(),
+        mean: sums.iter().map(|sum| (sum / inputs.len().max(1) as f64) as f32).collect(),
         values: all().step_by(stride).collect(),
     }
 }

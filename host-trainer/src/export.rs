@@ -50,11 +50,7 @@ impl Motion {
     /// Joint positions of every pose, or `None` where the layout is not a body. // (frame, joint)
     pub fn joint_positions(&self) -> Option<Vec<Vec<[f64; 3]>>> {
         let body = Body::new(&self.layout, self.skeleton.as_ref())?;
-        Some(
-            self.frames()
-                .map(|pose| body.joint_positions(pose))
-                .collect(),
-        )
+        Some(self.frames().map(|pose| body.joint_positions(pose)).collect())
     }
 }
 
@@ -114,9 +110,7 @@ pub fn write(
         files.push((file, bytes));
     }
     if overwrite == Overwrite::Refuse {
-        files
-            .iter()
-            .try_for_each(|(file, _)| refuse_existing(file))?;
+        files.iter().try_for_each(|(file, _)| refuse_existing(file))?;
     }
     for (file, bytes) in &files {
         write_atomically(file, bytes, overwrite)?;
@@ -128,10 +122,7 @@ fn encode(motion: &Motion, format: ExportFormat, path: &Path) -> Result<Vec<u8>>
     match format {
         ExportFormat::Csv => Ok(csv(motion).into_bytes()),
         ExportFormat::Npy => {
-            let shape = [
-                motion.frame_count() as u64,
-                motion.layout.channel_count() as u64,
-            ];
+            let shape = [motion.frame_count() as u64, motion.layout.channel_count() as u64];
             npy(&shape, motion.poses.iter().copied()).map_err(Error::io("encode", path))
         }
         ExportFormat::Json => json(motion).map_err(Error::io("encode", path)),
@@ -178,11 +169,7 @@ fn npy(shape: &[u64], values: impl Iterator<Item = f32>) -> std::io::Result<Vec<
 
 fn joints_npy(joints: &[Vec<[f64; 3]>]) -> std::io::Result<Vec<u8>> {
     let joint_count = joints.first().map_or(0, Vec::len);
-    let values = joints
-        .iter()
-        .flatten()
-        .flatten()
-        .map(|element| *element as f32);
+    let values = joints.iter().flatten().flatten().map(|element| *element as f32);
     npy(&[joints.len() as u64, joint_count as u64, 3], values)
 }
 
@@ -244,9 +231,7 @@ pub fn write_atomically(path: &Path, bytes: &[u8], overwrite: Overwrite) -> Resu
     };
     let mut file = new_file_in(folder).map_err(Error::io("write in", folder))?;
     file.write_all(bytes).map_err(Error::io("write", path))?;
-    file.as_file()
-        .sync_all()
-        .map_err(Error::io("write", path))?;
+    file.as_file().sync_all().map_err(Error::io("write", path))?;
     let persisted = match overwrite {
         Overwrite::Replace => file.persist(path),
         Overwrite::Refuse => {
@@ -254,9 +239,7 @@ pub fn write_atomically(path: &Path, bytes: &[u8], overwrite: Overwrite) -> Resu
             file.persist_noclobber(path)
         }
     };
-    persisted
-        .map(drop)
-        .map_err(|error| Error::io("write", path)(error.error))
+    persisted.map(drop).map_err(|error| Error::io("write", path)(error.error))
 }
 
 /// A temporary file that others may read as far as the user's mask allows; `tempfile`'s own default
@@ -274,11 +257,7 @@ mod tests {
     use crate::layout::{Group, GroupKind, Unit};
 
     fn group(name: &str, kind: GroupKind, unit: Unit) -> Group {
-        Group {
-            name: name.to_owned(),
-            kind,
-            unit,
-        }
+        Group { name: name.to_owned(), kind, unit }
     }
 
     fn servos() -> Motion {
@@ -319,11 +298,7 @@ mod tests {
         assert!(error.to_string().contains("--force"), "{error}");
         assert_eq!(std::fs::read_to_string(&path).unwrap(), "mine");
         write(&servos(), ExportFormat::Csv, &path, Overwrite::Replace).unwrap();
-        assert!(
-            std::fs::read_to_string(&path)
-                .unwrap()
-                .starts_with("# model.kara")
-        );
+        assert!(std::fs::read_to_string(&path).unwrap().starts_with("# model.kara"));
     }
 
     #[test]
@@ -349,10 +324,7 @@ mod tests {
         let motion = servos();
         let text = csv(&motion);
         let lines: Vec<&str> = text.lines().collect();
-        assert_eq!(
-            lines[1],
-            "# action nod, 0.06 s, seed 18446744073709551615, 50 Hz"
-        );
+        assert_eq!(lines[1], "# action nod, 0.06 s, seed 18446744073709551615, 50 Hz");
         assert_eq!(lines[2], "time_s,jaw_deg,lid_us");
         let values: Vec<f32> = lines[3..]
             .iter()

@@ -96,10 +96,7 @@ mod tests {
 
     #[test]
     fn motions_of_different_layouts_are_refused() {
-        let two = [
-            motion(&[GroupKind::Scalar], 3),
-            motion(&[GroupKind::Position], 3),
-        ];
+        let two = [motion(&[GroupKind::Scalar], 3), motion(&[GroupKind::Position], 3)];
         let error = contact_sheet(&two, "t").unwrap_err().to_string();
         assert!(error.contains("motion 1"), "{error}");
     }

@@ -51,69 +51,32 @@ fn print_table(parity: &Parity) {
         core if core == parity.target => String::new(),
         core => format!(", its code on a {core}"),
     };
-    line(
-        "target",
-        format!("{} (QEMU {}{core})", parity.target, parity.machine),
-    );
-    line(
-        "blob",
-        format!("{}, {} bytes", parity.number_format, parity.blob_bytes),
-    );
-    let [actions, lengths, motions] = [
-        parity.action_count,
-        parity.length_count,
-        parity.motion_count,
-    ];
-    line(
-        "motions",
-        format!("{motions}: {actions} actions, {lengths} lengths, a seed each"),
-    );
+    line("target", format!("{} (QEMU {}{core})", parity.target, parity.machine));
+    line("blob", format!("{}, {} bytes", parity.number_format, parity.blob_bytes));
+    let [actions, lengths, motions] =
+        [parity.action_count, parity.length_count, parity.motion_count];
+    line("motions", format!("{motions}: {actions} actions, {lengths} lengths, a seed each"));
     line("poses compared", parity.pose_count.to_string());
-    line(
-        "bits compared",
-        parity.differences.bits_compared.to_string(),
-    );
+    line("bits compared", parity.differences.bits_compared.to_string());
     line("bits differing", differing(parity));
     if let Some(share) = parity.tolerance_used {
         let percent = 100.0 * F16_TOLERANCE;
-        line(
-            "tolerance",
-            format!("{share:.3} used of {percent:.2} % of each channel's travel"),
-        );
+        line("tolerance", format!("{share:.3} used of {percent:.2} % of each channel's travel"));
     }
     if let Some(first) = parity.differences.first {
         let value = |bits: i32| f64::from(bits) / f64::from(1 << Pose::FRACTION_BITS);
         let (host, device) = (value(first.host), value(first.device));
         let place = format!("pose {} channel {}", first.pose, first.channel);
-        line(
-            "first",
-            format!("{place}: host {host:.6}, device {device:.6}"),
-        );
+        line("first", format!("{place}: host {host:.6}, device {device:.6}"));
     }
     let ram = parity.ram;
-    line(
-        "RAM",
-        format!(
-            "{} bytes stack + {} static",
-            ram.stack_bytes_max, ram.static_bytes
-        ),
-    );
+    line("RAM", format!("{} bytes stack + {} static", ram.stack_bytes_max, ram.static_bytes));
     line("emulation", format!("{:.1} s", parity.emulation_s));
-    line(
-        "verdict",
-        if parity.passes() {
-            "pass".to_owned()
-        } else {
-            "FAIL".to_owned()
-        },
-    );
+    line("verdict", if parity.passes() { "pass".to_owned() } else { "FAIL".to_owned() });
 }
 
 fn differing(parity: &Parity) -> String {
-    match (
-        parity.differences.bits_differing,
-        parity.differences.poses_differing,
-    ) {
+    match (parity.differences.bits_differing, parity.differences.poses_differing) {
         (0, _) => "0".to_owned(),
         (bits, poses) => format!("{bits} in {poses} poses"),
     }

@@ -28,17 +28,9 @@ pub fn read_clip_data(path: &Path, args: &ImportArgs, config: &TrainConfig) -> R
     for remark in &clip_set.remarks {
         eprintln!("{remark}");
     }
-    let skeleton = args
-        .skeleton
-        .as_deref()
-        .map(Skeleton::by_name_or_file)
-        .transpose()?;
+    let skeleton = args.skeleton.as_deref().map(Skeleton::by_name_or_file).transpose()?;
     let (clip_set, bones) = represent_with_bones(clip_set, config.representation, skeleton)?;
-    let dataset = dataset::build(
-        &clip_set,
-        &DatasetOptions {
-            standardization: config.standardization,
-        },
-    )?;
+    let dataset =
+        dataset::build(&clip_set, &DatasetOptions { standardization: config.standardization })?;
     Ok(ClipData { dataset, bones })
 }

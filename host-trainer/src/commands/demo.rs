@@ -66,7 +66,8 @@ pub fn run(args: &DemoArgs) -> Result<()> {
     let mut config = TrainConfig::preset(&args.preset)?;
     config.seed = args.seed;
     config.budget.steps = args.steps;
-    let dataset = dataset::build(&clip_set, &DatasetOptions { standardization: config.standardization })?;
+    let dataset =
+        dataset::build(&clip_set, &DatasetOptions { standardization: config.standardization })?;
 
     eprintln!("2/6  training preset {}", args.preset);
     let run = args.out.join("run");
@@ -82,8 +83,13 @@ pub fn run(args: &DemoArgs) -> Result<()> {
     for format in NumberFormat::ALL {
         let name = character::NAME.to_lowercase();
         let path = args.out.join(format!("{name}-{}-{}.kara", args.preset, format.name()));
-        let quantized =
-            quantize_checkpoint(character::NAME, &checkpoint, &mixtures, format, SamplerKind::ClipCodes)?;
+        let quantized = quantize_checkpoint(
+            character::NAME,
+            &checkpoint,
+            &mixtures,
+            format,
+            SamplerKind::ClipCodes,
+        )?;
         atomic_file::replace(&path, |file| std::io::Write::write_all(file, &quantized.blob))?;
         let model = load(&path, &quantized.blob)?;
         let error = scalar_error(&checkpoint, Source::Blob(&model), &dataset);
@@ -95,7 +101,8 @@ pub fn run(args: &DemoArgs) -> Result<()> {
     let motion_count = write_motions(&products[0].path, &motions, args.seed)?;
 
     eprintln!("6/6  the same arithmetic on a simulated Cortex-M4");
-    let verdicts: Vec<String> = products.iter().map(|product| qemu_verdict(&product.path)).collect();
+    let verdicts: Vec<String> =
+        products.iter().map(|product| qemu_verdict(&product.path)).collect();
 
     println!("{}", summary(args, &dataset, training_s, &checkpoint, motion_count));
     println!("{}", products_table(&products, &verdicts));
@@ -140,7 +147,8 @@ fn train_demo(dataset: &Dataset, config: &TrainConfig, run: &Path) -> Result<Che
 /// RMS over all servo channels.
 fn scalar_error(checkpoint: &Checkpoint, source: Source<'_>, dataset: &Dataset) -> String {
     let reconstruction = reconstruct(checkpoint, source, dataset, &[], 1);
-    let errors = reconstruction.groups.iter().map(|group| format!("{:.3} {}", group.rms, group.unit));
+    let errors =
+        reconstruction.groups.iter().map(|group| format!("{:.3} {}", group.rms, group.unit));
     errors.collect::<Vec<_>>().join(", ")
 }
 
@@ -154,9 +162,15 @@ fn write_motions(blob_path: &Path, out: &Path, seed: u64) -> Result<usize> {
     for (index, action) in (0..).zip(model.actions()) {
         let frames = model.trained_frames(karakuri::ActionId(index));
         let seconds = f64::from((frames.start() + frames.end()) / 2) / rate_hz;
-        let requests = (seed..seed + 3).map(|seed| Request { action: action.into(), seconds, seed, clamp: false });
-        let motions =
-            requests.map(|request| generate_blob(blob_path, &model, &request)).collect::<Result<Vec<_>>>()?;
+        let requests = (seed..seed + 3).map(|seed| Request {
+            action: action.into(),
+            seconds,
+            seed,
+            clamp: false,
+        });
+        let motions = requests
+            .map(|request| generate_blob(blob_path, &model, &request))
+            .collect::<Result<Vec<_>>>()?;
         for motion in &motions {
             let path = out.join(format!("{action}_seed{}.csv", motion.seed));
             export::write(motion, ExportFormat::Csv, &path, Overwrite::Refuse)?;
@@ -208,18 +222,33 @@ fn summary(
     let action_count = description.actions.len();
     table.push([
         "clips".into(),
-        format!("{clip_count} of {action_count} actions, {:.0} s", frames as f64 / description.rate_hz),
+        format!(
+            "{clip_count} of {action_count} actions, {:.0} s",
+            frames as f64 / description.rate_hz
+        ),
     ]);
-    table.push(["training".into(), format!("{training_s:.0} s, {} steps, preset {}", args.steps, args.preset)]);
+    table.push([
+        "training".into(),
+        format!("{training_s:.0} s, {} steps, preset {}", args.steps, args.preset),
+    ]);
     table.push(["float model's error".into(), scalar_error(checkpoint, Source::Float, dataset)]);
-    table.push(["new motions".into(), format!("{motion_count} in {}", args.out.join("motions").display())]);
+    table.push([
+        "new motions".into(),
+        format!("{motion_count} in {}", args.out.join("motions").display()),
+    ]);
     table.push(["everything".into(), format!("in {}", args.out.display())]);
     table.to_string()
 }
 
 fn products_table(products: &[Product], verdicts: &[String]) -> Table {
-    let mut table =
-        Table::new(["blob", "bytes", "RAM bytes", "multiply-accumulates a pose", "RMS error", "on a Cortex-M4"]);
+    let mut table = Table::new([
+        "blob",
+        "bytes",
+        "RAM bytes",
+        "multiply-accumulates a pose",
+        "RMS error",
+        "on a Cortex-M4",
+    ]);
     for (product, verdict) in products.iter().zip(verdicts) {
         table.push([
             product.path.display().to_string(),

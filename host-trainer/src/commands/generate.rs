@@ -12,8 +12,10 @@ use crate::picture;
 
 /// Arguments of `generate`.
 #[derive(Clone, Debug, clap::Args)]
-#[command(after_help = "Example:\n  host-trainer generate creature.kara --action nod --seconds 2.4 --seed 7 \
-    --count 3 --out motions --as csv --plot")]
+#[command(
+    after_help = "Example:\n  host-trainer generate creature.kara --action nod --seconds 2.4 --seed 7 \
+    --count 3 --out motions --as csv --plot"
+)]
 pub struct GenerateArgs {
     /// Folder of a run (float model) or a blob (the device's own arithmetic).
     #[arg(value_name = "RUN|FILE.kara")]
@@ -62,7 +64,13 @@ pub fn run(args: &GenerateArgs) -> Result<()> {
     std::fs::create_dir_all(&args.out).map_err(Error::io("create", &args.out))?;
     let overwrite = if args.force { Overwrite::Replace } else { Overwrite::Refuse };
     for motion in &motions {
-        let name = format!("{}_{:.2}s_seed{}.{}", motion.action, motion.seconds, motion.seed, args.format.extension());
+        let name = format!(
+            "{}_{:.2}s_seed{}.{}",
+            motion.action,
+            motion.seconds,
+            motion.seed,
+            args.format.extension()
+        );
         for file in export::write(motion, args.format, &args.out.join(name), overwrite)? {
             println!("{}", file.display());
         }

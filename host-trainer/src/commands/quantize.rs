@@ -90,10 +90,7 @@ pub fn run(args: &QuantizeArgs) -> Result<()> {
     }
     let checkpoint = Checkpoint::load(&args.run)?;
     let mixtures = mixture_file::of_checkpoint(&args.run, &checkpoint)?;
-    let name = args
-        .run
-        .file_name()
-        .map_or_else(|| "model".into(), |name| name.to_string_lossy());
+    let name = args.run.file_name().map_or_else(|| "model".into(), |name| name.to_string_lossy());
     let quantized = quantize_checkpoint(
         &name,
         &checkpoint,
@@ -101,15 +98,10 @@ pub fn run(args: &QuantizeArgs) -> Result<()> {
         args.format.into(),
         args.sampler.into(),
     )?;
-    atomic_file::replace(&args.out, |file| {
-        std::io::Write::write_all(file, &quantized.blob)
-    })?;
+    atomic_file::replace(&args.out, |file| std::io::Write::write_all(file, &quantized.blob))?;
     let report = BlobReport::new(&args.out, &quantized.blob)?;
     if args.json {
-        println!(
-            "{}",
-            serde_json::to_string_pretty(&report).unwrap_or_default()
-        );
+        println!("{}", serde_json::to_string_pretty(&report).unwrap_or_default());
         return Ok(());
     }
     print!("{report}");
