@@ -203,10 +203,7 @@ impl FloatModel {
     /// `code` (β then α) · `times_frames` (row) · `poses` (row, channel)
     pub fn decode_motion(&self, code: &[f32], times_frames: &[f64], poses: &mut [f32]) {
         let mut tau = vec![0.0; times_frames.len() * self.sinusoid_count()];
-        for (row, &time_frames) in tau
-            .chunks_exact_mut(self.sinusoid_count())
-            .zip(times_frames)
-        {
+        for (row, &time_frames) in tau.chunks_exact_mut(self.sinusoid_count()).zip(times_frames) {
             self.embed_time(time_frames, row);
         }
         let rows = Rows {
@@ -258,10 +255,7 @@ mod tests {
     fn start_weights_stay_inside_one_over_root_fan_in() {
         for layer in paper_model().layers {
             let limit = 1.0 / (layer.input_count as f32).sqrt();
-            let largest = layer
-                .weights
-                .iter()
-                .fold(0.0_f32, |max, w| max.max(w.abs()));
+            let largest = layer.weights.iter().fold(0.0_f32, |max, w| max.max(w.abs()));
             assert!(largest <= limit && largest > 0.99 * limit);
         }
     }

@@ -11,12 +11,12 @@ use karakuri::{Decoder, FramePosition, Model, Pcg32, Pose, Workspace};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
+use crate::body::skeleton::Skeleton;
 use crate::checkpoint::Checkpoint;
 use crate::error::{Error, Result};
 use crate::export::Motion;
 use crate::layout::{Group, PoseLayout};
-use crate::mixture_set::MixtureSet;
-use crate::skeleton::Skeleton;
+use crate::mixture::set::MixtureSet;
 
 /// What the user asked for.
 #[derive(Clone, Debug, PartialEq)]
@@ -38,7 +38,11 @@ const WORKSPACE_WIDTH: usize = karakuri::limits::WIDTH_MAX;
 ///
 /// # Errors
 /// An unknown action; a length outside training without `clamp`.
-pub fn generate_float(checkpoint: &Checkpoint, mixtures: &MixtureSet, request: &Request) -> Result<Motion> {
+pub fn generate_float(
+    checkpoint: &Checkpoint,
+    mixtures: &MixtureSet,
+    request: &Request,
+) -> Result<Motion> {
     let dataset = &checkpoint.dataset;
     let action = find_action(dataset.actions.iter().map(String::as_str), request)?;
     let mut frames = frames_of(request, dataset.rate_hz);
@@ -46,8 +50,11 @@ pub fn generate_float(checkpoint: &Checkpoint, mixtures: &MixtureSet, request: &
         frames = mixtures.clamp_frames(action, frames)?;
     }
     let mut random = ChaCha8Rng::seed_from_u64(request.seed);
-    let mut code: Vec<f32> =
-        mixtures.sample(action, frames, &mut random)?.into_iter().map(|value| value as f32).collect();
+    let mut code: Vec<f32> = mixtures
+        .sample(action, frames, &mut random)?
+        .into_iter()
+        .map(|value| value as f32)
+        .collect();
     code.extend(checkpoint.action_codes.mean_of(action));
     let times: Vec<f64> = (0..frames).map(|frame| frame as f64).collect();
     let mut poses = vec![0.0; frames * dataset.layout.channel_count()];
@@ -106,7 +113,11 @@ pub fn generate_blob(path: &Path, model: &Model<'_>, request: &Request) -> Resul
 
 /// The layout that a blob carries.
 pub fn layout_of(model: &Model<'_>) -> PoseLayout {
-    let groups = model.groups().map(|group| Group { name: group.name.into(), kind: group.kind, unit: group.unit });
+    let groups = model.groups().map(|group| Group {
+        name: group.name.into(),
+        kind: group.kind,
+        unit: group.unit,
+    });
     PoseLayout { groups: groups.collect() }
 }
 

@@ -2,18 +2,21 @@
 
 use std::path::PathBuf;
 
+use crate::atomic_file::Overwrite;
 use crate::checkpoint::Checkpoint;
 use crate::error::{Error, Result};
-use crate::export::{self, ExportFormat, Motion, Overwrite};
+use crate::export::{self, ExportFormat, Motion};
 use crate::generate::{Request, generate_blob, generate_float};
-use crate::inspect_blob::{load, read_blob};
-use crate::mixture_file;
+use crate::inspect::blob::{load, read_blob};
+use crate::mixture;
 use crate::picture;
 
 /// Arguments of `generate`.
 #[derive(Clone, Debug, clap::Args)]
-#[command(after_help = "Example:\n  host-trainer generate creature.kara --action nod --seconds 2.4 --seed 7 \
-    --count 3 --out motions --as csv --plot")]
+#[command(
+    after_help = "Example:\n  host-trainer generate creature.kara --action nod --seconds 2.4 --seed 7 \
+    --count 3 --out motions --as csv --plot"
+)]
 pub struct GenerateArgs {
     /// Folder of a run (float model) or a blob (the device's own arithmetic).
     #[arg(value_name = "RUN|FILE.kara")]
@@ -60,9 +63,15 @@ pub fn run(args: &GenerateArgs) -> Result<()> {
     }
     let motions = generate_all(args)?;
     std::fs::create_dir_all(&args.out).map_err(Error::io("create", &args.out))?;
-    let overwrite = if args.force { Overwrite::Replace } else { Overwrite::Refuse };
+    let overwrite = Overwrite::from_force(args.force);
     for motion in &motions {
-        let name = format!("{}_{:.2}s_seed{}.{}", motion.action, motion.seconds, motion.seed, args.format.extension());
+        let name = format!(
+            "{}_{:.2}s_seed{}.{}",
+            motion.action,
+            motion.seconds,
+            motion.seed,
+            args.format.extension()
+        );
         for file in export::write(motion, args.format, &args.out.join(name), overwrite)? {
             println!("{}", file.display());
         }
@@ -85,7 +94,7 @@ fn generate_all(args: &GenerateArgs) -> Result<Vec<Motion>> {
     });
     if args.source.is_dir() {
         let checkpoint = Checkpoint::load(&args.source)?;
-        let mixtures = mixture_file::of_checkpoint(&args.source, &checkpoint)?;
+        let mixtures = mixture::file::of_checkpoint(&args.source, &checkpoint)?;
         return requests.map(|request| generate_float(&checkpoint, &mixtures, &request)).collect();
     }
     let blob = read_blob(&args.source)?;

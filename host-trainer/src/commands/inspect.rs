@@ -2,7 +2,7 @@
 
 use crate::commands::inspect_clips::{self, InspectClipsArgs};
 use crate::error::Result;
-use crate::inspect_blob::{BlobReport, read_blob};
+use crate::inspect::blob::{BlobReport, read_blob};
 
 /// Prints a report on stdout: of a blob when the path ends in `.kara`, of clips otherwise.
 pub fn run(args: &InspectClipsArgs) -> Result<()> {

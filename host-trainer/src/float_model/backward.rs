@@ -171,11 +171,7 @@ mod tests {
                 let unit = |(weights, bias): (&[f32], &f32)| {
                     let products = weights.iter().zip(&values).map(|(w, v)| f64::from(*w) * v);
                     let sum = products.sum::<f64>() + f64::from(*bias);
-                    if sum < 0.0 && !is_last {
-                        sum.exp() - 1.0
-                    } else {
-                        sum
-                    }
+                    if sum < 0.0 && !is_last { sum.exp() - 1.0 } else { sum }
                 };
                 let rows = layer.weights.chunks(layer.input_count).zip(&layer.bias);
                 values = rows.map(unit).collect();
@@ -215,10 +211,7 @@ mod tests {
 
     fn assert_close(analytic: f32, numeric: f64, what: &str) {
         let difference = (f64::from(analytic) - numeric).abs();
-        assert!(
-            difference < 1e-5 * (1.0 + numeric.abs()),
-            "{what}: {analytic} {numeric}"
-        );
+        assert!(difference < 1e-5 * (1.0 + numeric.abs()), "{what}: {analytic} {numeric}");
     }
 
     #[test]
@@ -244,11 +237,7 @@ mod tests {
         for (index, layer) in gradient.iter().enumerate() {
             for (weight, slope) in layer.weights.iter().enumerate() {
                 let numeric = quotient(&|model| &mut model.layers[index].weights[weight]);
-                assert_close(
-                    *slope,
-                    numeric,
-                    &format!("weight {weight} of layer {index}"),
-                );
+                assert_close(*slope, numeric, &format!("weight {weight} of layer {index}"));
             }
             for (unit, slope) in layer.bias.iter().enumerate() {
                 let numeric = quotient(&|model| &mut model.layers[index].bias[unit]);
@@ -289,11 +278,7 @@ mod tests {
         let mut alone = once.clone();
         let mut sum = once.clone();
         for (gradient, accumulate) in [(&mut alone, Accum::Replace), (&mut sum, Accum::Add)] {
-            let wanted = Wanted {
-                decoder: Some(gradient),
-                accumulate,
-                codes: None,
-            };
+            let wanted = Wanted { decoder: Some(gradient), accumulate, codes: None };
             let mut workspace = workspace.clone();
             model.backward(&rows, Par::Seq, &mut workspace, wanted);
         }

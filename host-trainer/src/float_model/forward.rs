@@ -68,10 +68,7 @@ impl Workspace {
     /// The poses, and the place for the loss's gradient by them that starts the backward pass. // (row, channel) each
     pub fn output_and_delta(&mut self, row_count: usize) -> (&[f32], &mut [f32]) {
         let (last, len) = (self.activations.len() - 1, row_count * self.channel_count);
-        (
-            &self.activations[last][..len],
-            &mut self.deltas[last][..len],
-        )
+        (&self.activations[last][..len], &mut self.deltas[last][..len])
     }
 }
 
@@ -131,9 +128,7 @@ impl FloatModel {
             matrix_mut(time_part, width),
             Accum::Replace,
             matrix(rows.tau, self.sinusoid_count()),
-            layer
-                .weight_columns(code_count..layer.input_count)
-                .transpose(),
+            layer.weight_columns(code_count..layer.input_count).transpose(),
             par,
         );
         let output = &mut workspace.activations[0][..rows.code_of_row.len() * width];
