@@ -27,11 +27,17 @@ fn committed_blobs_still_load() {
 fn pose_table(file: &str, model: &Model<'_>, motions: &[Motion]) -> String {
     let cases: Vec<_> = motions.iter().map(|motion| motion.case(model)).collect();
     let poses = decode_cases(model, &cases).expect("cases of trained motions");
-    let mut table = format!("{file}, Q15.16 in channel units\n{:<9} {:>6} {:>4} {:>10}", "action", "frames", "seed", "position");
+    let mut table = format!(
+        "{file}, Q15.16 in channel units\n{:<9} {:>6} {:>4} {:>10}",
+        "action", "frames", "seed", "position"
+    );
     for group in model.groups() {
         table += &format!(" {:>11}", group.name);
     }
-    let positions = motions.iter().zip(&cases).flat_map(|(motion, case)| case.positions().map(move |at| (motion, at)));
+    let positions = motions
+        .iter()
+        .zip(&cases)
+        .flat_map(|(motion, case)| case.positions().map(move |at| (motion, at)));
     for ((motion, position), pose) in positions.zip(poses) {
         let Motion { action, frames, seed, .. } = motion;
         table += &format!("\n{action:<9} {frames:>6} {seed:>4} {:>10}", position.to_bits());
@@ -43,7 +49,8 @@ fn pose_table(file: &str, model: &Model<'_>, motions: &[Motion]) -> String {
 }
 
 fn table_of(format: &str) -> String {
-    let (_, file) = GOLDEN_BLOBS.into_iter().find(|(known, _)| *known == format).expect("a known format");
+    let (_, file) =
+        GOLDEN_BLOBS.into_iter().find(|(known, _)| *known == format).expect("a known format");
     let blob = golden_blob(format);
     pose_table(file, &Model::from_bytes(&blob).expect("a committed blob loads"), &motions())
 }
@@ -56,7 +63,9 @@ fn integer_poses_are_the_same_bits_on_every_machine_and_for_ever() {
 
 /// Channel values of a table. // (pose, channel)
 fn values(table: &str) -> Vec<Vec<f64>> {
-    let row = |line: &str| line.split_whitespace().skip(4).map(|cell| cell.parse().expect("a number")).collect();
+    let row = |line: &str| {
+        line.split_whitespace().skip(4).map(|cell| cell.parse().expect("a number")).collect()
+    };
     table.lines().skip(2).map(row).collect()
 }
 
@@ -67,16 +76,26 @@ fn half_precision_poses_stay_within_the_promised_tolerance() {
     if std::env::var_os("UPDATE_GOLDEN").is_some() {
         return assert_golden("poses-f16.txt", &now);
     }
-    let committed = std::fs::read_to_string(golden_path("poses-f16.txt")).expect("a committed table");
+    let committed =
+        std::fs::read_to_string(golden_path("poses-f16.txt")).expect("a committed table");
     let (now, committed) = (values(&now), values(&committed));
-    assert_eq!((now.len(), now[0].len()), (committed.len(), committed[0].len()), "the table has another shape");
+    assert_eq!(
+        (now.len(), now[0].len()),
+        (committed.len(), committed[0].len()),
+        "the table has another shape"
+    );
     for channel in 0..now[0].len() {
-        let column = |rows: &[Vec<f64>]| -> Vec<f64> { rows.iter().map(|row| row[channel]).collect() };
+        let column =
+            |rows: &[Vec<f64>]| -> Vec<f64> { rows.iter().map(|row| row[channel]).collect() };
         let (now, committed) = (column(&now), column(&committed));
-        let (min, max) = committed.iter().fold((f64::MAX, f64::MIN), |(min, max), v| (v.min(min), v.max(max)));
+        let (min, max) =
+            committed.iter().fold((f64::MAX, f64::MIN), |(min, max), v| (v.min(min), v.max(max)));
         let difference = now.iter().zip(&committed).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
         let allowed = F16_TOLERANCE * (max - min);
-        assert!(difference <= allowed, "channel {channel}: {difference} beyond {allowed} of 2^-16 units");
+        assert!(
+            difference <= allowed,
+            "channel {channel}: {difference} beyond {allowed} of 2^-16 units"
+        );
     }
 }
 
@@ -90,7 +109,8 @@ fn case_list_covers_every_action_and_fractional_positions() {
         assert!(motions.iter().any(|motion| motion.action == action), "no motion of {action}");
     }
     let cases: Vec<_> = motions.iter().map(|motion| motion.case(&model)).collect();
-    let positions: Vec<u32> = cases.iter().flat_map(|case| case.positions()).map(|at| at.to_bits()).collect();
+    let positions: Vec<u32> =
+        cases.iter().flat_map(|case| case.positions()).map(|at| at.to_bits()).collect();
     assert!(positions.iter().any(|bits| bits & 0xffff != 0));
     assert!(positions.iter().any(|bits| bits & 0xffff == 0));
 }

@@ -88,7 +88,10 @@ fn blob_cut_at_any_length_is_rejected_by_its_length() {
         let blob = golden_blob(format);
         for len in 0..blob.len() {
             let error = Model::from_bytes(&blob[..len]).expect_err("a cut blob");
-            assert!(matches!(error, BlobError::WrongLength { found, .. } if found == len), "{format}, {len}: {error}");
+            assert!(
+                matches!(error, BlobError::WrongLength { found, .. } if found == len),
+                "{format}, {len}: {error}"
+            );
         }
     }
 }
@@ -100,7 +103,10 @@ fn blob_with_bytes_after_its_end_is_rejected_by_its_length() {
         let expected = blob.len();
         for found in expected + 1..expected + 40 {
             blob.push(0xff);
-            assert_eq!(Model::from_bytes(&blob).err(), Some(BlobError::WrongLength { found, expected }));
+            assert_eq!(
+                Model::from_bytes(&blob).err(),
+                Some(BlobError::WrongLength { found, expected })
+            );
         }
     }
 }
@@ -138,7 +144,10 @@ fn blob_with_a_single_bit_flipped_is_rejected() {
             let mut changed = blob.clone();
             changed[place] ^= 1 << (place % 8);
             let error = Model::from_bytes(&changed).expect_err("a changed blob");
-            assert!(matches!(error, BlobError::WrongChecksum { .. }), "{format}, byte {place}: {error}");
+            assert!(
+                matches!(error, BlobError::WrongChecksum { .. }),
+                "{format}, byte {place}: {error}"
+            );
         });
     }
 }
@@ -182,7 +191,10 @@ fn forged_descriptions_are_rejected_or_harmless() {
                 forged[place] ^= change;
                 seal(&mut forged);
                 let outcome = survives(&forged, &mut workspace);
-                assert!(place >= HEADER_BYTES || outcome.is_err(), "{format}, byte {place} of the header");
+                assert!(
+                    place >= HEADER_BYTES || outcome.is_err(),
+                    "{format}, byte {place} of the header"
+                );
             }
         });
     }
@@ -227,7 +239,11 @@ fn blob_gives_the_same_pose_at_any_alignment() {
             let mut decoder = Decoder::new(&model, &mut workspace).expect("the widest workspace");
             let (mut rng, mut pose) = (Pcg32::new(3), Pose::new());
             let frames = *model.trained_frames(ActionId(0)).start();
-            decoder.start(&model.sample(ActionId(0), frames, &mut || rng.next_u32()).expect("a trained length"));
+            decoder.start(
+                &model
+                    .sample(ActionId(0), frames, &mut || rng.next_u32())
+                    .expect("a trained length"),
+            );
             decoder.decode(FramePosition::from_frames(9), &mut pose);
             poses.push(pose);
         }

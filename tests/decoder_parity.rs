@@ -24,18 +24,30 @@ const BOUNDS: [(&str, f64, f64); 3] = [("w8a16", 0.0, 0.0), ("w8a8", 0.0, 0.0), 
 fn every_format_stays_within_its_bound_after_training() {
     let checkpoint = Checkpoint::read(&trained().run).expect("a run");
     let options = Options { poses_per_clip: 8, draw_pose_count: 500, rows: Rows::PerKind };
-    let mut table = "format  motions         poses   group        RMS       99 %        max   SNR dB\n".to_owned();
+    let mut table =
+        "format  motions         poses   group        RMS       99 %        max   SNR dB\n"
+            .to_owned();
     let mut broken = Vec::new();
     for (format, decibel_min, error_max) in BOUNDS {
         let blob = fs::read(trained().blob(format)).expect("a blob");
         let Comparison { training_clips, mixture_draws, .. } =
-            compare(&checkpoint, &blob, options, &ProgressBar::hidden()).expect("a blob of this run");
-        for (motions, errors) in [("training clips", training_clips), ("mixture draws", mixture_draws)] {
+            compare(&checkpoint, &blob, options, &ProgressBar::hidden())
+                .expect("a blob of this run");
+        for (motions, errors) in
+            [("training clips", training_clips), ("mixture draws", mixture_draws)]
+        {
             for row in &errors.rows {
-                let _ = writeln!(table, "{format:<7} {motions:<14} {:>6}   {}", errors.pose_count, cells(row));
+                let _ = writeln!(
+                    table,
+                    "{format:<7} {motions:<14} {:>6}   {}",
+                    errors.pose_count,
+                    cells(row)
+                );
                 let decibel = row.signal_to_noise_db.unwrap_or(f64::INFINITY);
                 if decibel < decibel_min || row.max > error_max {
-                    broken.push(format!("{format}, {motions}: at least {decibel_min} dB, at most {error_max}"));
+                    broken.push(format!(
+                        "{format}, {motions}: at least {decibel_min} dB, at most {error_max}"
+                    ));
                 }
             }
         }
@@ -64,22 +76,27 @@ fn reference_poses(model: &Model<'_>, motions: &[Motion]) -> Vec<Vec<f64>> {
         assert_golden(FILE, &reference_table(&checkpoint, model, motions));
     }
     let text = fs::read_to_string(golden_path(FILE)).expect("committed reference poses");
-    let row = |line: &str| line.split_whitespace().map(|cell| cell.parse().expect("a number")).collect();
+    let row =
+        |line: &str| line.split_whitespace().map(|cell| cell.parse().expect("a number")).collect();
     text.lines().skip(2).map(row).collect()
 }
 
 /// Float poses of the case list, one row a pose; ten-thousandths of a degree are below every format's resolution.
 fn reference_table(checkpoint: &Checkpoint, model: &Model<'_>, motions: &[Motion]) -> String {
-    let mut table = "poses of tests/cases/poses.toml by the float model in f64, channel units\n".to_owned();
+    let mut table =
+        "poses of tests/cases/poses.toml by the float model in f64, channel units\n".to_owned();
     for group in model.groups() {
         let _ = write!(table, "{:>12}", group.name);
     }
     for motion in motions {
         let case = motion.case(model);
         let mut rng = Pcg32::new(case.seed);
-        let code = model.sample(ActionId(case.action), case.frames, &mut || rng.next_u32()).expect("a trained length");
+        let code = model
+            .sample(ActionId(case.action), case.frames, &mut || rng.next_u32())
+            .expect("a trained length");
         let code: Vec<f64> = model.code_to_f32(&code).map(f64::from).collect();
-        let positions: Vec<f64> = case.positions().map(|position| f64::from(position.to_bits()) / 65_536.0).collect();
+        let positions: Vec<f64> =
+            case.positions().map(|position| f64::from(position.to_bits()) / 65_536.0).collect();
         for pose in Reference::new(checkpoint).decode(&code, &positions) {
             table.push('\n');
             for value in pose {
@@ -99,7 +116,9 @@ fn errors_of_the_committed_blobs_never_change() {
         let model = Model::from_bytes(&blob).expect("a committed blob loads");
         let cases: Vec<_> = motions.iter().map(|motion| motion.case(&model)).collect();
         let poses = decode_cases(&model, &cases).expect("trained motions");
-        let device = poses.iter().map(|pose| pose.iter().map(|&value| f64::from(value) / 65_536.0).collect());
+        let device = poses
+            .iter()
+            .map(|pose| pose.iter().map(|&value| f64::from(value) / 65_536.0).collect());
         let pairs: Vec<PosePair> = device
             .zip(reference_poses(&model, &motions))
             .map(|(device, float)| PosePair { device, float })
@@ -116,10 +135,14 @@ fn errors_of_the_committed_blobs_never_change() {
 
 /// A row a servo, two columns a format. Half precision is left out: its last digits are the machine's.
 fn error_table(errors: &[Vec<ErrorRow>]) -> String {
-    let mut table = "errors of the committed blobs against the float model, cases of tests/cases/poses.toml\n".to_owned();
+    let mut table =
+        "errors of the committed blobs against the float model, cases of tests/cases/poses.toml\n"
+            .to_owned();
     table += "group         unit  w8a16 RMS  w8a16 max   w8a8 RMS   w8a8 max\n";
     for (fine, coarse) in errors[0].iter().zip(&errors[1]) {
-        let cells = [fine.rms, fine.max, coarse.rms, coarse.max].map(|value| format!("{value:>11.3}")).concat();
+        let cells = [fine.rms, fine.max, coarse.rms, coarse.max]
+            .map(|value| format!("{value:>11.3}"))
+            .concat();
         let _ = writeln!(table, "{:<12} {:>5}{cells}", fine.group, fine.unit);
     }
     table

@@ -11,7 +11,8 @@ const MISSING_TOOL: i32 = 6;
 /// The answer of the simulator, unless this machine cannot give one.
 fn run(blob: &str) -> Option<Outcome> {
     let path = golden_path(blob);
-    let outcome = firmware_sim(&repository(), &format!("run {} --target cortex-m4 --json", text(&path)));
+    let outcome =
+        firmware_sim(&repository(), &format!("run {} --target cortex-m4 --json", text(&path)));
     if outcome.code == Some(MISSING_TOOL) {
         skip(outcome.stderr.trim());
         return None;
@@ -22,7 +23,9 @@ fn run(blob: &str) -> Option<Outcome> {
 #[test]
 fn a_cortex_m4_decodes_the_committed_blobs_as_the_host_does() {
     assert_eq!(POSE_COUNT_MIN, 1_000);
-    let mut table = "format  poses  actions  lengths  bits compared  bits differing  tolerance used\n".to_owned();
+    let mut table =
+        "format  poses  actions  lengths  bits compared  bits differing  tolerance used\n"
+            .to_owned();
     for (format, blob) in GOLDEN_BLOBS {
         let Some(outcome) = run(blob) else { return };
         let parity = outcome.succeeded().json();
@@ -39,7 +42,10 @@ fn a_cortex_m4_decodes_the_committed_blobs_as_the_host_does() {
             tolerance.map_or("-".into(), |share| format!("{share:.3}")),
         );
         assert_eq!(parity["number_format"], format);
-        assert!(count("pose_count") >= 1_000 && count("action_count") > 1 && count("length_count") > 1, "{table}");
+        assert!(
+            count("pose_count") >= 1_000 && count("action_count") > 1 && count("length_count") > 1,
+            "{table}"
+        );
         match tolerance {
             Some(share) => assert!(format == FORMATS[2] && share <= 1.0, "{table}"),
             None => assert!(format != FORMATS[2] && bits("bits_differing") == 0, "{table}"),

@@ -39,7 +39,8 @@ fn blocks_of(path: &str, text: &str) -> Vec<Block> {
             Some(block) => block.commands.push(line.to_owned()),
             None if line == "```sh" => {
                 let place = format!("{path}:{}", index + 1);
-                open = Some(Block { place, commands: Vec::new(), is_run: before == "<!-- run -->" });
+                open =
+                    Some(Block { place, commands: Vec::new(), is_run: before == "<!-- run -->" });
             }
             None => (),
         }
@@ -49,7 +50,10 @@ fn blocks_of(path: &str, text: &str) -> Vec<Block> {
     for block in &mut found {
         let joined = block.commands.join("\n").replace("\\\n", " ");
         let lines = joined.lines().map(|line| line.trim().trim_start_matches("$ "));
-        block.commands = lines.filter(|line| !line.is_empty() && !line.starts_with('#')).map(str::to_owned).collect();
+        block.commands = lines
+            .filter(|line| !line.is_empty() && !line.starts_with('#'))
+            .map(str::to_owned)
+            .collect();
     }
     found
 }
@@ -86,7 +90,10 @@ fn shell(folder: &Path, command: &str) -> std::process::Output {
 #[test]
 fn readme_has_commands() {
     let blocks = blocks();
-    assert!(blocks.iter().any(|block| block.place.starts_with("README.md")), "README.md shows no commands");
+    assert!(
+        blocks.iter().any(|block| block.place.starts_with("README.md")),
+        "README.md shows no commands"
+    );
     assert!(blocks.iter().any(|block| block.is_run), "no block is marked <!-- run -->");
 }
 
@@ -140,7 +147,8 @@ fn blocks_are_found_and_commands_told_apart() {
     assert_eq!(blocks.len(), 1);
     assert!(blocks[0].is_run);
     assert_eq!(blocks[0].commands, ["host-trainer demo    --out x", "ls"]);
-    let (program, arguments) = ours("cargo run --release -p firmware-sim -- run a.kara").expect("ours");
+    let (program, arguments) =
+        ours("cargo run --release -p firmware-sim -- run a.kara").expect("ours");
     assert_eq!((program, arguments), (Program::FirmwareSim, "run a.kara"));
     assert!(ours("cargo test").is_none());
 }

@@ -47,8 +47,16 @@ pub fn shared(name: &str) -> Option<PathBuf> {
 /// Every file that git tracks or would add, with slashes, from the root of the repository.
 pub fn repository_files() -> Vec<String> {
     let list = ["ls-files", "--cached", "--others", "--exclude-standard"];
-    let output = Command::new("git").args(list).current_dir(repository()).output().expect("git is installed");
-    assert!(output.status.success(), "not a git repository: {}", String::from_utf8_lossy(&output.stderr));
+    let output = Command::new("git")
+        .args(list)
+        .current_dir(repository())
+        .output()
+        .expect("git is installed");
+    assert!(
+        output.status.success(),
+        "not a git repository: {}",
+        String::from_utf8_lossy(&output.stderr)
+    );
     let text = String::from_utf8(output.stdout).expect("plain file names");
     // A file deleted but not yet committed is still listed.
     text.lines().filter(|path| repository().join(path).exists()).map(str::to_owned).collect()
@@ -72,7 +80,8 @@ pub fn contents(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
         for entry in fs::read_dir(&next).expect("a readable folder") {
             let path = entry.expect("a readable folder").path();
             let name = path.strip_prefix(folder).expect("inside").to_path_buf();
-            let bytes = if path.is_dir() { Vec::new() } else { fs::read(&path).expect("a readable file") };
+            let bytes =
+                if path.is_dir() { Vec::new() } else { fs::read(&path).expect("a readable file") };
             if path.is_dir() {
                 waiting.push(path);
             }
@@ -118,7 +127,8 @@ impl Program {
         folder: &Path,
         arguments: impl IntoIterator<Item = Argument>,
     ) -> Outcome {
-        let arguments: Vec<_> = arguments.into_iter().map(|one| one.as_ref().to_os_string()).collect();
+        let arguments: Vec<_> =
+            arguments.into_iter().map(|one| one.as_ref().to_os_string()).collect();
         let output = self.command(folder).args(&arguments).output().expect("the program starts");
         let words = arguments.iter().map(|one| one.to_string_lossy());
         Outcome {
@@ -181,7 +191,8 @@ impl Outcome {
     /// Standard output as JSON.
     #[track_caller]
     pub fn json(&self) -> serde_json::Value {
-        serde_json::from_str(&self.stdout).unwrap_or_else(|error| panic!("no JSON, {error}: {self}"))
+        serde_json::from_str(&self.stdout)
+            .unwrap_or_else(|error| panic!("no JSON, {error}: {self}"))
     }
 }
 
@@ -220,7 +231,8 @@ pub fn trained() -> &'static Trained {
         let folder = own_folder();
         fs::write(folder.join("quick.toml"), QUICK_CONFIG).expect("a writable folder");
         host_trainer(&folder, "character --out clips --seed 7 --clips-per-action 4").succeeded();
-        let train = "train clips --out creature --preset tiny --config quick.toml --seed 7 --threads 1";
+        let train =
+            "train clips --out creature --preset tiny --config quick.toml --seed 7 --threads 1";
         host_trainer(&folder, train).succeeded();
         for format in FORMATS {
             let quantize = format!("quantize creature --format {format} --out {format}.kara");
@@ -283,7 +295,8 @@ pub const GOLDEN_BLOBS: [(&str, &str); 3] = [
 
 /// Bytes of the committed blob in a number format.
 pub fn golden_blob(format: &str) -> Vec<u8> {
-    let (_, name) = GOLDEN_BLOBS.iter().find(|(known, _)| *known == format).expect("a known format");
+    let (_, name) =
+        GOLDEN_BLOBS.iter().find(|(known, _)| *known == format).expect("a known format");
     fs::read(golden_path(name)).expect("a committed blob")
 }
 
@@ -308,7 +321,8 @@ pub struct Motion {
 impl Motion {
     /// The case as simulator and firmware take it.
     pub fn case(&self, model: &Model<'_>) -> Case {
-        let action = model.action_by_name(&self.action).expect("cases name actions of the committed blobs");
+        let action =
+            model.action_by_name(&self.action).expect("cases name actions of the committed blobs");
         Case {
             action: action.0,
             pose_count: self.pose_count,

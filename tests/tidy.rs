@@ -57,15 +57,20 @@ fn assert_none(habit: &str, complaints: Vec<String>) {
 /// Lines before the file's own tests.
 fn line_count_before_tests(text: &str) -> usize {
     let lines: Vec<&str> = text.lines().collect();
-    let is_tests = |pair: &[&str]| pair[0] == "#[cfg(test)]" && pair[1].starts_with("mod ") && pair[1].ends_with('{');
+    let is_tests = |pair: &[&str]| {
+        pair[0] == "#[cfg(test)]" && pair[1].starts_with("mod ") && pair[1].ends_with('{')
+    };
     lines.windows(2).position(is_tests).unwrap_or(lines.len())
 }
 
 #[test]
 fn files_are_short_before_their_tests() {
-    let counted = with_extension("rs").into_iter().map(|file| (line_count_before_tests(&file.text), file.path));
+    let counted = with_extension("rs")
+        .into_iter()
+        .map(|file| (line_count_before_tests(&file.text), file.path));
     let long = counted.filter(|(count, _)| *count > FILE_LINES_MAX);
-    let habit = format!("a file has at most {FILE_LINES_MAX} lines before its tests; split it by meaning:");
+    let habit =
+        format!("a file has at most {FILE_LINES_MAX} lines before its tests; split it by meaning:");
     assert_none(&habit, long.map(|(count, path)| format!("{path}: {count} lines")).collect());
 }
 
@@ -78,11 +83,15 @@ fn functions(text: &str) -> Vec<(usize, String, usize)> {
         let indentation = &line[..line.len() - line.trim_start().len()];
         let ends = |line: &str| {
             let rest = line.strip_prefix(indentation);
-            rest.is_some_and(|rest| rest.starts_with('}') || rest.starts_with(')') && rest.ends_with(';'))
+            rest.is_some_and(|rest| {
+                rest.starts_with('}') || rest.starts_with(')') && rest.ends_with(';')
+            })
         };
         let is_one_line = line.ends_with('}') || line.ends_with(';');
-        let length = if is_one_line { Some(0) } else { lines[start..].iter().position(|line| ends(line)) };
-        let length = length.unwrap_or_else(|| panic!("line {}: function {name} has no end", start + 1));
+        let length =
+            if is_one_line { Some(0) } else { lines[start..].iter().position(|line| ends(line)) };
+        let length =
+            length.unwrap_or_else(|| panic!("line {}: function {name} has no end", start + 1));
         found.push((start + 1, name.to_owned(), length + 1));
     }
     found
@@ -91,7 +100,8 @@ fn functions(text: &str) -> Vec<(usize, String, usize)> {
 /// The name, if the line begins a function.
 fn function_name(line: &str) -> Option<&str> {
     let mut words = line.trim_start();
-    let modifiers = ["pub(crate) ", "pub(super) ", "pub ", "const ", "async ", "unsafe ", "extern \"C\" "];
+    let modifiers =
+        ["pub(crate) ", "pub(super) ", "pub ", "const ", "async ", "unsafe ", "extern \"C\" "];
     while let Some(rest) = modifiers.iter().find_map(|modifier| words.strip_prefix(modifier)) {
         words = rest;
     }
@@ -103,16 +113,25 @@ fn function_name(line: &str) -> Option<&str> {
 fn functions_are_short() {
     let mut long = Vec::new();
     for file in with_extension("rs") {
-        let functions = functions(&file.text).into_iter().filter(|(_, _, count)| *count > FUNCTION_LINES_MAX);
-        long.extend(functions.map(|(line, name, count)| format!("{}:{line}: {name} has {count} lines", file.path)));
+        let functions =
+            functions(&file.text).into_iter().filter(|(_, _, count)| *count > FUNCTION_LINES_MAX);
+        long.extend(
+            functions.map(|(line, name, count)| {
+                format!("{}:{line}: {name} has {count} lines", file.path)
+            }),
+        );
     }
-    assert_none(&format!("a function has at most {FUNCTION_LINES_MAX} lines; name its parts:"), long);
+    assert_none(
+        &format!("a function has at most {FUNCTION_LINES_MAX} lines; name its parts:"),
+        long,
+    );
 }
 
 #[test]
 fn function_lengths_are_measured() {
     let text = "fn a() {}\nimpl X {\n    pub const fn b(\n        x: u8,\n    ) -> u8 {\n        x\n    }\n    fn c();\n}\n";
-    let measured: Vec<_> = functions(text).into_iter().map(|(line, name, count)| (line, name, count)).collect();
+    let measured: Vec<_> =
+        functions(text).into_iter().map(|(line, name, count)| (line, name, count)).collect();
     assert_eq!(measured, [(1, "a".into(), 1), (3, "b".into(), 5), (8, "c".into(), 1)]);
 }
 
@@ -122,22 +141,29 @@ fn lines_fit_a_screen() {
     for file in with_extension("rs").into_iter().chain(with_extension("toml")) {
         let columns = file.text.lines().map(|line| line.chars().count()).enumerate();
         let wide_lines = columns.filter(|(_, count)| *count > LINE_COLUMNS_MAX);
-        wide.extend(wide_lines.map(|(line, count)| format!("{}:{}: {count} columns", file.path, line + 1)));
+        wide.extend(
+            wide_lines.map(|(line, count)| format!("{}:{}: {count} columns", file.path, line + 1)),
+        );
     }
     assert_none(&format!("a line has at most {LINE_COLUMNS_MAX} columns:"), wide);
 }
 
 #[test]
 fn no_file_name_says_nothing() {
-    let stem = |path: &str| path.rsplit('/').next().and_then(|name| name.split('.').next()).unwrap_or("").to_owned();
-    let empty = repository_files().into_iter().filter(|path| EMPTY_NAMES.contains(&stem(path).as_str()));
+    let stem = |path: &str| {
+        path.rsplit('/').next().and_then(|name| name.split('.').next()).unwrap_or("").to_owned()
+    };
+    let empty =
+        repository_files().into_iter().filter(|path| EMPTY_NAMES.contains(&stem(path).as_str()));
     assert_none("a file is named after what is in it:", empty.collect());
 }
 
 #[test]
 fn no_work_is_promised_for_later() {
     let mut promises = Vec::new();
-    for file in with_extension("rs").into_iter().chain(with_extension("toml")).chain(with_extension("md")) {
+    for file in
+        with_extension("rs").into_iter().chain(with_extension("toml")).chain(with_extension("md"))
+    {
         for (index, line) in file.text.lines().enumerate() {
             let found = PROMISES.iter().find(|promise| contains_word(line, promise));
             promises.extend(found.map(|word| format!("{}:{}: {word}", file.path, index + 1)));
@@ -150,7 +176,8 @@ fn no_work_is_promised_for_later() {
 fn contains_word(line: &str, word: &str) -> bool {
     let is_part = |c: Option<char>| c.is_some_and(|c| c.is_alphanumeric() || c == '_');
     line.match_indices(word).any(|(start, _)| {
-        let (before, after) = (line[..start].chars().next_back(), line[start + word.len()..].chars().next());
+        let (before, after) =
+            (line[..start].chars().next_back(), line[start + word.len()..].chars().next());
         !(is_part(before) || word.ends_with(char::is_alphanumeric) && is_part(after))
     })
 }
@@ -172,8 +199,12 @@ fn code_map() -> BTreeSet<String> {
 fn code_map_names_every_source_file() {
     let map = code_map();
     let sources = repository_files().into_iter().filter(|path| path.ends_with(".rs"));
-    let missing = sources.filter(|path| !map.contains(path)).map(|path| format!("- `{path}`: what it is"));
-    assert_none("add to the code map of ARCHITECTURE.md, in backticks, from the root:", missing.collect());
+    let missing =
+        sources.filter(|path| !map.contains(path)).map(|path| format!("- `{path}`: what it is"));
+    assert_none(
+        "add to the code map of ARCHITECTURE.md, in backticks, from the root:",
+        missing.collect(),
+    );
 }
 
 #[test]
@@ -184,7 +215,8 @@ fn code_map_names_nothing_that_does_not_exist() {
 
 /// Names of the files in `tests/golden` and `tests/cases`, except their explanations.
 fn golden_names() -> Vec<String> {
-    let of_folder = |path: &String| path.starts_with("tests/golden/") || path.starts_with("tests/cases/");
+    let of_folder =
+        |path: &String| path.starts_with("tests/golden/") || path.starts_with("tests/cases/");
     let names = repository_files().into_iter().filter(of_folder);
     let names = names.filter_map(|path| path.rsplit('/').next().map(str::to_owned));
     names.filter(|name| name != "README.md").collect()
@@ -201,9 +233,13 @@ fn every_golden_is_read_by_a_test() {
 
 #[test]
 fn every_golden_is_explained() {
-    let readme = fs::read_to_string(repository().join("tests/golden/README.md")).expect("tests/golden/README.md");
+    let readme = fs::read_to_string(repository().join("tests/golden/README.md"))
+        .expect("tests/golden/README.md");
     let unexplained = golden_names().into_iter().filter(|name| !readme.contains(name.as_str()));
-    assert_none("tests/golden/README.md does not say what made these files and what they prove:", unexplained.collect());
+    assert_none(
+        "tests/golden/README.md does not say what made these files and what they prove:",
+        unexplained.collect(),
+    );
 }
 
 #[test]
@@ -211,18 +247,24 @@ fn every_key_of_a_preset_has_a_comment() {
     let mut bare = Vec::new();
     for file in with_extension("toml").into_iter().filter(|file| file.path.contains("/presets/")) {
         for (index, line) in file.text.lines().enumerate() {
-            let is_key = line.split_once('=').is_some_and(|(key, _)| !key.trim_start().starts_with('#'));
+            let is_key =
+                line.split_once('=').is_some_and(|(key, _)| !key.trim_start().starts_with('#'));
             if is_key && !line.contains('#') {
                 bare.push(format!("{}:{}: {line}", file.path, index + 1));
             }
         }
     }
-    assert_none("a comment after every key says its unit, its meaning and where the value comes from:", bare);
+    assert_none(
+        "a comment after every key says its unit, its meaning and where the value comes from:",
+        bare,
+    );
 }
 
 #[test]
 fn no_recordings_or_weights_are_committed() {
     let extension = |path: &String| path.rsplit('.').next().unwrap_or("").to_lowercase();
-    let foreign = repository_files().into_iter().filter(|path| RECORDINGS.contains(&extension(path).as_str()));
+    let foreign = repository_files()
+        .into_iter()
+        .filter(|path| RECORDINGS.contains(&extension(path).as_str()));
     assert_none("data belongs beside the repository, not into it:", foreign.collect());
 }
