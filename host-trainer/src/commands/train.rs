@@ -16,6 +16,9 @@ use crate::train::{Progress, Start, TrainOptions, train};
 
 /// What the user types after `train`.
 #[derive(Clone, Debug, clap::Args)]
+#[command(
+    after_help = "Example:\n  host-trainer train clips --preset small --out runs/creature --steps 6000"
+)]
 pub struct TrainArgs {
     /// A clip file, or a folder of clips
     pub clips: PathBuf,
