@@ -3,18 +3,21 @@
 //! In:  a [`Pose`], the calibration of every servo, the time since the last command.
 //! Out: a [`ServoCommand`] to whatever makes the pulses.
 //!
-//! Why here: the last place before the hardware. No pose, however wrong, may ask a servo for what it cannot do.
+//! Why here: the last place before the hardware. No pose, however wrong, may ask a servo for what
+//! it cannot do.
 //!
-//! **Not a safety-rated system.** This stage limits range and speed, nothing else. Still missing: limits of acceleration
-//! and jerk (a servo may start and stop at full speed), braking ahead of an end, a watchdog for commands that stop
-//! coming, faults of servo and supply, and any knowledge of where a servo really stands: it begins at the neutral
-//! pulse, to which a servo that stands elsewhere travels as fast as it can. Keep a hardware power cut.
+//! **Not a safety-rated system.** This stage limits range and speed, nothing else. Still missing:
+//! limits of acceleration and jerk (a servo may start and stop at full speed), braking ahead of an
+//! end, a watchdog for commands that stop coming, faults of servo and supply, and any knowledge of
+//! where a servo really stands: it begins at the neutral pulse, to which a servo that stands
+//! elsewhere travels as fast as it can. Keep a hardware power cut.
 
 use crate::error::ServoError;
 use crate::limits::SERVOS_MAX;
 use crate::pose::Pose;
 
-/// Fraction bits of a pulse between two ticks, so that slow limits do not stall at whole microseconds.
+/// Fraction bits of a pulse between two ticks, so that slow limits do not stall at whole
+/// microseconds.
 const PULSE_FRACTION_BITS: u32 = 8;
 
 /// Calibration of one servo: which channel drives it, and how.
@@ -32,8 +35,9 @@ pub struct ServoMap {
 impl ServoMap {
     /// A servo that follows channel number `channel` of the pose (a scalar; see `Model::groups`).
     ///
-    /// `pulses_us` are the shortest, the neutral and the longest pulse; neutral is where channel value 0 leads and where
-    /// the servo is parked. `pulse_us_per_unit_q16` is Q15.16 µs per channel unit; its sign is the direction.
+    /// `pulses_us` are the shortest, the neutral and the longest pulse; neutral is where channel
+    /// value 0 leads and where the servo is parked. `pulse_us_per_unit_q16` is Q15.16 µs per
+    /// channel unit; its sign is the direction.
     ///
     /// # Errors
     /// [`ServoError`] when the pulses are not in this order or the speed is 0.
@@ -61,8 +65,8 @@ impl ServoMap {
         })
     }
 
-    /// The same servo with its neutral pulse at another channel value than 0, Q15.16; a channel that is a pulse width
-    /// itself has it at that width.
+    /// The same servo with its neutral pulse at another channel value than 0, Q15.16; a channel
+    /// that is a pulse width itself has it at that width.
     pub const fn with_neutral_at(self, channel_q16: i32) -> Self {
         Self { channel_at_neutral_q16: channel_q16, ..self }
     }
@@ -76,7 +80,8 @@ impl ServoMap {
         pulse_q8(self.pulse_us_neutral).saturating_add(offset_q8)
     }
 
-    /// Farthest way of one tick in 2^-8 µs, rounded down, so that ticks never add up to more than the limit.
+    /// Farthest way of one tick in 2^-8 µs, rounded down, so that ticks never add up to more than
+    /// the limit.
     fn step_q8(&self, elapsed_us: u32) -> i64 {
         let elapsed_us = u64::from(elapsed_us.min(ServoStage::ELAPSED_US_MAX));
         // Below 2^32 · 10^5 · 2^8 < 2^57.
@@ -112,13 +117,15 @@ impl ServoCommand {
         self.range_limited.unbounded_shr(servo as u32) & 1 == 1
     }
 
-    /// Whether this servo is still on its way to what the pose asked for, because of its speed limit.
+    /// Whether this servo is still on its way to what the pose asked for, because of its speed
+    /// limit.
     pub fn is_speed_limited(&self, servo: usize) -> bool {
         self.speed_limited.unbounded_shr(servo as u32) & 1 == 1
     }
 }
 
-/// All servos of a robot: their calibration and their last pulses. About 26 bytes a servo, up to the limit; no heap.
+/// All servos of a robot: their calibration and their last pulses. About 26 bytes a servo, up to
+/// the limit; no heap.
 #[derive(Clone, Debug)]
 pub struct ServoStage {
     maps: heapless::Vec<ServoMap, SERVOS_MAX>,
@@ -128,7 +135,8 @@ pub struct ServoStage {
 }
 
 impl ServoStage {
-    /// Longest time that one tick makes up for; after a longer pause servos still move only this far at once.
+    /// Longest time that one tick makes up for; after a longer pause servos still move only this
+    /// far at once.
     pub const ELAPSED_US_MAX: u32 = 100_000;
 
     /// Servos in their park pose: every pulse neutral.
@@ -151,13 +159,15 @@ impl ServoStage {
         Ok(stage)
     }
 
-    /// Moves every servo towards `pose`, as far as range and speed allow since the last call, `elapsed_us` ago
-    /// (0: nothing moves). A servo whose channel the pose does not have holds its pulse.
+    /// Moves every servo towards `pose`, as far as range and speed allow since the last call,
+    /// `elapsed_us` ago (0: nothing moves). A servo whose channel the pose does not have holds its
+    /// pulse.
     ///
     /// # Accuracy
-    /// Where no limit intervenes, within 0.502 µs of the exact pulse: to nearest 2^-8 µs, then to nearest µs, ties up.
-    /// Over any number of ticks a pulse travels at most its speed limit, plus 1 µs for the rounding of both ends.
-    /// A tick moves in steps of 2^-8 µs: at 4 µs/s it must last a millisecond, at 600 µs/s 7 µs, or nothing moves.
+    /// Where no limit intervenes, within 0.502 µs of the exact pulse: to nearest 2^-8 µs, then to
+    /// nearest µs, ties up. Over any number of ticks a pulse travels at most its speed limit, plus
+    /// 1 µs for the rounding of both ends. A tick moves in steps of 2^-8 µs: at 4 µs/s it must last
+    /// a millisecond, at 600 µs/s 7 µs, or nothing moves.
     pub fn command(&mut self, pose: &Pose, elapsed_us: u32) -> &ServoCommand {
         let (mut range_limited, mut speed_limited) = (0, 0);
         let last = self.pulses_q8.iter_mut().zip(self.command.pulses_us.iter_mut());
@@ -297,8 +307,9 @@ mod tests {
             for (index, &(from_us, start_us)) in course.iter().enumerate() {
                 for &(to_us, end_us) in &course[index..] {
                     let travel_us = u128::from(from_us.abs_diff(to_us).saturating_sub(1));
-                    let allowed = u128::from(map.pulse_us_per_s_max) * u128::from(end_us - start_us);
-                    prop_assert!(travel_us * 1_000_000 <= allowed);
+                    let elapsed_us = u128::from(end_us - start_us);
+                    let speed = u128::from(map.pulse_us_per_s_max);
+                    prop_assert!(travel_us * 1_000_000 <= speed * elapsed_us);
                 }
             }
         }
@@ -332,7 +343,8 @@ mod tests {
             map in any_map(), ticks in prop::collection::vec(any_tick(), 1..50)
         ) {
             let gain = map.pulse_us_per_unit_q16.max(-i32::MAX);
-            let forward = ServoMap { pulse_us_per_unit_q16: gain, channel_at_neutral_q16: 0, ..map };
+            let map = map.with_neutral_at(0);
+            let forward = ServoMap { pulse_us_per_unit_q16: gain, ..map };
             let reversed = ServoMap { pulse_us_per_unit_q16: -gain, ..forward };
             let [mut forward, mut reversed] =
                 [forward, reversed].map(|map| ServoStage::new(&[map]).unwrap());

@@ -3,8 +3,8 @@
 //! In:  a [`Model`], [`Options`].
 //! Out: a [`Trace`]: every tick's `ServoCommand`, as CSV and in summary.
 //!
-//! Why here: what a robot will do can be read, drawn and compared before there is a robot, and without waiting for the
-//! clock: time is counted, not measured.
+//! Why here: what a robot will do can be read, drawn and compared before there is a robot, and
+//! without waiting for the clock: time is counted, not measured.
 
 mod calibration;
 mod summary;
@@ -37,8 +37,8 @@ pub struct Options {
     pub clamp: bool,
     /// Commands per second.
     pub tick_hz: u32,
-    /// Pulse width per degree of an angle, or per unit of any other channel; negative reverses all servos.
-    /// Channels that are pulse widths are taken as they are.
+    /// Pulse width per degree of an angle, or per unit of any other channel; negative reverses all
+    /// servos. Channels that are pulse widths are taken as they are.
     pub us_per_unit: f64,
     /// Speed limit of every servo.
     pub us_per_s_max: u32,
@@ -69,8 +69,8 @@ pub struct Tick {
 /// Decodes a motion and passes its scalar channels through core's servo stage.
 ///
 /// # Errors
-/// [`Error::BadInput`]: an unknown action, a length outside training, a model without scalar channels or with too many,
-/// numbers beyond what a servo's calibration can hold.
+/// [`Error::BadInput`]: an unknown action, a length outside training, a model without scalar
+/// channels or with too many, numbers beyond what a servo's calibration can hold.
 pub fn trace(model: &Model<'_>, options: &Options) -> Result<Trace> {
     let (servos, maps) = calibration::servos(model.groups(), options)?;
     let mut stage = ServoStage::new(&maps).map_err(|error| {
@@ -169,7 +169,8 @@ fn provenance(model: &Model<'_>) -> String {
 }
 
 impl Trace {
-    /// Comment lines, a header `time_s,jaw_us,…`, one row a tick: what `host-trainer` imports as servo tracks.
+    /// Comment lines, a header `time_s,jaw_us,…`, one row a tick: what `host-trainer` imports as
+    /// servo tracks.
     ///
     /// # Errors
     /// [`Error::Io`] if the memory for it is refused.

@@ -51,8 +51,9 @@ pub struct TraceArgs {
     json: bool,
 }
 
-const CALIBRATION: &str = "Every scalar channel drives a servo of 500 to 2500 us about 1500 us, where it is parked at \
-    time 0. Limits of range and speed are core's; nothing here limits acceleration or proves safety.\n\nExample:\n  \
+const CALIBRATION: &str = "Every scalar channel drives a servo of 500 to 2500 us about 1500 us, \
+    where it is parked at time 0. Limits of range and speed are core's; nothing here limits \
+    acceleration or proves safety.\n\nExample:\n  \
     firmware-sim trace creature.kara --action nod --seconds 2.4 --seed 7 --out nod.csv";
 
 impl TraceArgs {
@@ -225,11 +226,12 @@ mod tests {
         assert!(error.to_string().contains("none/trace.csv"), "{error}");
     }
 
-    /// A gain that leaves the range and a limit that is felt, so that every column has something to say.
+    /// A gain that leaves the range and a limit that is felt, so that every column has something to
+    /// say.
     #[test]
     fn summary_reads_as_it_always_did() {
         let folder = tempfile::tempdir().unwrap();
-        let words = ["--us-per-unit", "-900", "--speed-us-per-s", "2000"];
+        let words = ["--us-per-unit", "-9000", "--speed-us-per-s", "6000"];
         let args = args(folder.path(), &words);
         let blob = read_blob(&args.model).unwrap();
         let model = Model::from_bytes(&blob).unwrap();
@@ -237,5 +239,10 @@ mod tests {
         assert_eq!(text, SUMMARY, "{text}");
     }
 
-    const SUMMARY: &str = "";
+    const SUMMARY: &str = "\
+write, 1.2 s, seed 7: 60 commands at 50 Hz, at most 6000 us/s
+
+servo  min us  max us    max us/s  range-limited  speed-limited
+neck      500    2500        6000         39.0 %         22.0 %
+";
 }

@@ -3,7 +3,8 @@
 //! In:  the model's groups, [`Options`].
 //! Out: names and [`ServoMap`]s to `trace.rs`.
 //!
-//! Why here: a blob says what its channels mean, not how a robot is built; until a robot is measured these stand in.
+//! Why here: a blob says what its channels mean, not how a robot is built; until a robot is
+//! measured these stand in.
 
 use karakuri::limits::SERVOS_MAX;
 use karakuri::manifest::Group;
@@ -12,11 +13,13 @@ use karakuri::{GroupKind, Pose, ServoMap, Unit};
 use super::Options;
 use crate::error::{Error, Result};
 
-/// Shortest, neutral and longest pulse of every servo: a hobby servo's full travel about its middle.
+/// Shortest, neutral and longest pulse of every servo: a hobby servo's full travel about its
+/// middle.
 pub const PULSES_US: [u16; 3] = [500, 1500, 2500];
 /// Default gain: 10 µs per degree, 2000 µs over 200° of travel.
 pub const US_PER_UNIT: f64 = 10.0;
-/// Default speed limit: 600 °/s at the default gain, a small hobby servo without load (60° in 0.1 s).
+/// Default speed limit: 600 °/s at the default gain, a small hobby servo without load (60° in 0.1
+/// s).
 pub const US_PER_S_MAX: u32 = 6000;
 
 /// Every scalar channel's name and calibration.

@@ -1,4 +1,5 @@
-//! A trace in a few numbers: how far and how fast every servo goes, and how often a limit intervenes.
+//! A trace in a few numbers: how far and how fast every servo goes, and how often a limit
+//! intervenes.
 
 use karakuri::ServoCommand;
 use serde::Serialize;
@@ -30,7 +31,8 @@ pub struct ServoSummary {
     pub pulse_us_min: u16,
     /// Longest pulse.
     pub pulse_us_max: u16,
-    /// Largest change from tick to tick, per second; of whole microseconds, so up to 1 µs a tick above the limit.
+    /// Largest change from tick to tick, per second; of whole microseconds, so up to 1 µs a tick
+    /// above the limit.
     pub us_per_s_max: f64,
     /// Share of the ticks at which the pose asked for a pulse beyond the range, 0 to 1.
     pub range_limited_share: f64,
@@ -58,7 +60,8 @@ impl Trace {
             let travel_us = pulse_us(&pair[0])?.abs_diff(pulse_us(&pair[1])?);
             Some(f64::from(travel_us) * 1e6 / f64::from(pair[1].time_us - pair[0].time_us))
         });
-        // The first tick is the park pose, which no time has passed to leave: it says nothing about limits.
+        // The first tick is the park pose, which no time has passed to leave: it says nothing about
+        // limits.
         let moving = self.ticks.get(1..).unwrap_or_default();
         let share = |is_limited: fn(&ServoCommand, usize) -> bool| {
             let count = moving.iter().filter(|tick| is_limited(&tick.command, servo)).count();
