@@ -38,7 +38,11 @@ const WORKSPACE_WIDTH: usize = karakuri::limits::WIDTH_MAX;
 ///
 /// # Errors
 /// An unknown action; a length outside training without `clamp`.
-pub fn generate_float(checkpoint: &Checkpoint, mixtures: &MixtureSet, request: &Request) -> Result<Motion> {
+pub fn generate_float(
+    checkpoint: &Checkpoint,
+    mixtures: &MixtureSet,
+    request: &Request,
+) -> Result<Motion> {
     let dataset = &checkpoint.dataset;
     let action = find_action(dataset.actions.iter().map(String::as_str), request)?;
     let mut frames = frames_of(request, dataset.rate_hz);
@@ -46,8 +50,11 @@ pub fn generate_float(checkpoint: &Checkpoint, mixtures: &MixtureSet, request: &
         frames = mixtures.clamp_frames(action, frames)?;
     }
     let mut random = ChaCha8Rng::seed_from_u64(request.seed);
-    let mut code: Vec<f32> =
-        mixtures.sample(action, frames, &mut random)?.into_iter().map(|value| value as f32).collect();
+    let mut code: Vec<f32> = mixtures
+        .sample(action, frames, &mut random)?
+        .into_iter()
+        .map(|value| value as f32)
+        .collect();
     code.extend(checkpoint.action_codes.mean_of(action));
     let times: Vec<f64> = (0..frames).map(|frame| frame as f64).collect();
     let mut poses = vec![0.0; frames * dataset.layout.channel_count()];
@@ -79,13 +86,17 @@ pub fn generate_blob(path: &Path, model: &Model<'_>, request: &Request) -> Resul
         frames = frames.clamp(*trained.start(), *trained.end());
     }
     let mut random = Pcg32::new(request.seed);
-    let code = model.sample(action, frames, &mut || random.next_u32()).map_err(|_| {
-        let seconds = |frames: u32| f64::from(frames) / rate_hz;
-        outside_training(request, seconds(*trained.start()), seconds(*trained.end()))
-    })?;
+    let code = model
+        .sample(action, frames, &mut || random.next_u32())
+        .map_err(|_| {
+            let seconds = |frames: u32| f64::from(frames) / rate_hz;
+            outside_training(request, seconds(*trained.start()), seconds(*trained.end()))
+        })?;
     let mut workspace = Box::new(Workspace::<WORKSPACE_WIDTH>::new());
-    let mut decoder = Decoder::new(model, &mut *workspace)
-        .map_err(|reason| Error::Blob { path: path.into(), reason: reason.to_string() })?;
+    let mut decoder = Decoder::new(model, &mut *workspace).map_err(|reason| Error::Blob {
+        path: path.into(),
+        reason: reason.to_string(),
+    })?;
     decoder.start(&code);
     let (mut pose, mut poses) = (Pose::new(), Vec::new());
     for frame in 0..frames {
@@ -100,14 +111,24 @@ pub fn generate_blob(path: &Path, model: &Model<'_>, request: &Request) -> Resul
         action: request.action.clone(),
         seconds: f64::from(frames) / rate_hz,
         seed: request.seed,
-        provenance: format!("{} in core's {}", model.manifest().name, model.number_format().name()),
+        provenance: format!(
+            "{} in core's {}",
+            model.manifest().name,
+            model.number_format().name()
+        ),
     })
 }
 
 /// The layout that a blob carries.
 pub fn layout_of(model: &Model<'_>) -> PoseLayout {
-    let groups = model.groups().map(|group| Group { name: group.name.into(), kind: group.kind, unit: group.unit });
-    PoseLayout { groups: groups.collect() }
+    let groups = model.groups().map(|group| Group {
+        name: group.name.into(),
+        kind: group.kind,
+        unit: group.unit,
+    });
+    PoseLayout {
+        groups: groups.collect(),
+    }
 }
 
 /// The skeleton that a blob carries, if any.
@@ -115,7 +136,10 @@ pub fn skeleton_of(model: &Model<'_>) -> Option<Skeleton> {
     let names: Vec<String> = model.joints().map(|joint| joint.name.into()).collect();
     (!names.is_empty()).then(|| Skeleton {
         names,
-        parents: model.joints().map(|joint| joint.parent.map(usize::from)).collect(),
+        parents: model
+            .joints()
+            .map(|joint| joint.parent.map(usize::from))
+            .collect(),
         offsets: model.joints().map(|joint| joint.offset).collect(),
     })
 }
@@ -126,15 +150,18 @@ fn frames_of(request: &Request, rate_hz: f64) -> usize {
 
 fn find_action<'n>(names: impl Iterator<Item = &'n str>, request: &Request) -> Result<usize> {
     let names: Vec<&str> = names.collect();
-    names.iter().position(|name| *name == request.action).ok_or_else(|| {
-        Error::bad_input(
-            "--action",
-            "the action",
-            &request.action,
-            format!("one of {}", names.join(", ")),
-            "choose one of these, or train with clips of it",
-        )
-    })
+    names
+        .iter()
+        .position(|name| *name == request.action)
+        .ok_or_else(|| {
+            Error::bad_input(
+                "--action",
+                "the action",
+                &request.action,
+                format!("one of {}", names.join(", ")),
+                "choose one of these, or train with clips of it",
+            )
+        })
 }
 
 fn outside_training(request: &Request, seconds_min: f64, seconds_max: f64) -> Error {

@@ -20,6 +20,7 @@ pub mod represent_rotations;
 pub mod dataset;
 pub mod config;
 pub mod random;
+pub mod simd;
 pub mod float_model;
 pub mod optimizer;
 pub mod schedule;

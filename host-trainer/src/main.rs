@@ -3,14 +3,18 @@
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
-use host_trainer::commands::{bench, character, demo, generate, inspect, inspect_clips, quantize, reconstruct, train};
+use host_trainer::commands::{
+    bench, character, demo, generate, inspect, inspect_clips, quantize, reconstruct, train,
+};
 use host_trainer::error::Result;
 
 /// Learns motion from clips and puts it into a blob for a microcontroller.
 #[derive(Debug, Parser)]
 #[command(version, about, arg_required_else_help = true)]
-#[command(after_help = "Start with:\n  host-trainer demo\n\nExit codes: 0 done, 2 wrong flags, 3 bad input, \
-    4 a file could not be read or written, 5 bad blob, 130 interrupted.")]
+#[command(
+    after_help = "Start with:\n  host-trainer demo\n\nExit codes: 0 done, 2 wrong flags, 3 bad input, \
+    4 a file could not be read or written, 5 bad blob, 130 interrupted."
+)]
 struct Cli {
     #[command(subcommand)]
     verb: Verb,

@@ -66,7 +66,12 @@ pub fn run(args: &DemoArgs) -> Result<()> {
     let mut config = TrainConfig::preset(&args.preset)?;
     config.seed = args.seed;
     config.budget.steps = args.steps;
-    let dataset = dataset::build(&clip_set, &DatasetOptions { standardization: config.standardization })?;
+    let dataset = dataset::build(
+        &clip_set,
+        &DatasetOptions {
+            standardization: config.standardization,
+        },
+    )?;
 
     eprintln!("2/6  training preset {}", args.preset);
     let run = args.out.join("run");
@@ -81,13 +86,26 @@ pub fn run(args: &DemoArgs) -> Result<()> {
     let mut products = Vec::new();
     for format in NumberFormat::ALL {
         let name = character::NAME.to_lowercase();
-        let path = args.out.join(format!("{name}-{}-{}.kara", args.preset, format.name()));
-        let quantized =
-            quantize_checkpoint(character::NAME, &checkpoint, &mixtures, format, SamplerKind::ClipCodes)?;
-        atomic_file::replace(&path, |file| std::io::Write::write_all(file, &quantized.blob))?;
+        let path = args
+            .out
+            .join(format!("{name}-{}-{}.kara", args.preset, format.name()));
+        let quantized = quantize_checkpoint(
+            character::NAME,
+            &checkpoint,
+            &mixtures,
+            format,
+            SamplerKind::ClipCodes,
+        )?;
+        atomic_file::replace(&path, |file| {
+            std::io::Write::write_all(file, &quantized.blob)
+        })?;
         let model = load(&path, &quantized.blob)?;
         let error = scalar_error(&checkpoint, Source::Blob(&model), &dataset);
-        products.push(Product { report: BlobReport::new(&path, &quantized.blob)?, path, error });
+        products.push(Product {
+            report: BlobReport::new(&path, &quantized.blob)?,
+            path,
+            error,
+        });
     }
 
     eprintln!("5/6  new motions, decoded in the device's arithmetic");
@@ -95,9 +113,15 @@ pub fn run(args: &DemoArgs) -> Result<()> {
     let motion_count = write_motions(&products[0].path, &motions, args.seed)?;
 
     eprintln!("6/6  the same arithmetic on a simulated Cortex-M4");
-    let verdicts: Vec<String> = products.iter().map(|product| qemu_verdict(&product.path)).collect();
+    let verdicts: Vec<String> = products
+        .iter()
+        .map(|product| qemu_verdict(&product.path))
+        .collect();
 
-    println!("{}", summary(args, &dataset, training_s, &checkpoint, motion_count));
+    println!(
+        "{}",
+        summary(args, &dataset, training_s, &checkpoint, motion_count)
+    );
     println!("{}", products_table(&products, &verdicts));
     println!("{}", parts_table(&products));
     Ok(())
@@ -140,7 +164,10 @@ fn train_demo(dataset: &Dataset, config: &TrainConfig, run: &Path) -> Result<Che
 /// RMS over all servo channels.
 fn scalar_error(checkpoint: &Checkpoint, source: Source<'_>, dataset: &Dataset) -> String {
     let reconstruction = reconstruct(checkpoint, source, dataset, &[], 1);
-    let errors = reconstruction.groups.iter().map(|group| format!("{:.3} {}", group.rms, group.unit));
+    let errors = reconstruction
+        .groups
+        .iter()
+        .map(|group| format!("{:.3} {}", group.rms, group.unit));
     errors.collect::<Vec<_>>().join(", ")
 }
 
@@ -154,16 +181,27 @@ fn write_motions(blob_path: &Path, out: &Path, seed: u64) -> Result<usize> {
     for (index, action) in (0..).zip(model.actions()) {
         let frames = model.trained_frames(karakuri::ActionId(index));
         let seconds = f64::from((frames.start() + frames.end()) / 2) / rate_hz;
-        let requests = (seed..seed + 3).map(|seed| Request { action: action.into(), seconds, seed, clamp: false });
-        let motions =
-            requests.map(|request| generate_blob(blob_path, &model, &request)).collect::<Result<Vec<_>>>()?;
+        let requests = (seed..seed + 3).map(|seed| Request {
+            action: action.into(),
+            seconds,
+            seed,
+            clamp: false,
+        });
+        let motions = requests
+            .map(|request| generate_blob(blob_path, &model, &request))
+            .collect::<Result<Vec<_>>>()?;
         for motion in &motions {
             let path = out.join(format!("{action}_seed{}.csv", motion.seed));
             export::write(motion, ExportFormat::Csv, &path, Overwrite::Refuse)?;
             count += 1;
         }
         let title = format!("{action}, {seconds:.1} s, three seeds");
-        picture::write(&motions, &title, &out.join(format!("{action}.svg")), Overwrite::Refuse)?;
+        picture::write(
+            &motions,
+            &title,
+            &out.join(format!("{action}.svg")),
+            Overwrite::Refuse,
+        )?;
     }
     Ok(count)
 }
@@ -173,7 +211,15 @@ fn qemu_verdict(blob: &Path) -> String {
     let Some(cargo) = std::env::var_os("CARGO") else {
         return "not run: start the demo with cargo".into();
     };
-    let simulator = ["run", "--quiet", "--release", "-p", "firmware-sim", "--", "run"];
+    let simulator = [
+        "run",
+        "--quiet",
+        "--release",
+        "-p",
+        "firmware-sim",
+        "--",
+        "run",
+    ];
     let output = Command::new(cargo)
         .args(simulator)
         .arg(blob)
@@ -188,7 +234,10 @@ fn qemu_verdict(blob: &Path) -> String {
         }
         Ok(output) => {
             let text = String::from_utf8_lossy(&output.stderr);
-            format!("not verified: {}", text.lines().last().unwrap_or("the simulator failed"))
+            format!(
+                "not verified: {}",
+                text.lines().last().unwrap_or("the simulator failed")
+            )
         }
         Err(reason) => format!("not run: {reason}"),
     }
@@ -208,18 +257,39 @@ fn summary(
     let action_count = description.actions.len();
     table.push([
         "clips".into(),
-        format!("{clip_count} of {action_count} actions, {:.0} s", frames as f64 / description.rate_hz),
+        format!(
+            "{clip_count} of {action_count} actions, {:.0} s",
+            frames as f64 / description.rate_hz
+        ),
     ]);
-    table.push(["training".into(), format!("{training_s:.0} s, {} steps, preset {}", args.steps, args.preset)]);
-    table.push(["float model's error".into(), scalar_error(checkpoint, Source::Float, dataset)]);
-    table.push(["new motions".into(), format!("{motion_count} in {}", args.out.join("motions").display())]);
+    table.push([
+        "training".into(),
+        format!(
+            "{training_s:.0} s, {} steps, preset {}",
+            args.steps, args.preset
+        ),
+    ]);
+    table.push([
+        "float model's error".into(),
+        scalar_error(checkpoint, Source::Float, dataset),
+    ]);
+    table.push([
+        "new motions".into(),
+        format!("{motion_count} in {}", args.out.join("motions").display()),
+    ]);
     table.push(["everything".into(), format!("in {}", args.out.display())]);
     table.to_string()
 }
 
 fn products_table(products: &[Product], verdicts: &[String]) -> Table {
-    let mut table =
-        Table::new(["blob", "bytes", "RAM bytes", "multiply-accumulates a pose", "RMS error", "on a Cortex-M4"]);
+    let mut table = Table::new([
+        "blob",
+        "bytes",
+        "RAM bytes",
+        "multiply-accumulates a pose",
+        "RMS error",
+        "on a Cortex-M4",
+    ]);
     for (product, verdict) in products.iter().zip(verdicts) {
         table.push([
             product.path.display().to_string(),
@@ -236,11 +306,18 @@ fn products_table(products: &[Product], verdicts: &[String]) -> Table {
 fn parts_table(products: &[Product]) -> String {
     let mut table = Table::new(["bytes by part", "w8a16", "w8a8", "f16"]);
     let bytes = |product: &Product, part: &str| {
-        let found = product.report.parts.iter().find(|report| report.part == part);
+        let found = product
+            .report
+            .parts
+            .iter()
+            .find(|report| report.part == part);
         found.map_or_else(|| "–".into(), |report| thousands(report.bytes))
     };
     for part in &products[0].report.parts {
-        let cells: Vec<String> = products.iter().map(|product| bytes(product, part.part)).collect();
+        let cells: Vec<String> = products
+            .iter()
+            .map(|product| bytes(product, part.part))
+            .collect();
         if let [w8a16, w8a8, f16] = cells.as_slice() {
             table.push([part.part.into(), w8a16.clone(), w8a8.clone(), f16.clone()]);
         }

@@ -12,8 +12,10 @@ use crate::picture;
 
 /// Arguments of `generate`.
 #[derive(Clone, Debug, clap::Args)]
-#[command(after_help = "Example:\n  host-trainer generate creature.kara --action nod --seconds 2.4 --seed 7 \
-    --count 3 --out motions --as csv --plot")]
+#[command(
+    after_help = "Example:\n  host-trainer generate creature.kara --action nod --seconds 2.4 --seed 7 \
+    --count 3 --out motions --as csv --plot"
+)]
 pub struct GenerateArgs {
     /// Folder of a run (float model) or a blob (the device's own arithmetic).
     #[arg(value_name = "RUN|FILE.kara")]
@@ -60,16 +62,33 @@ pub fn run(args: &GenerateArgs) -> Result<()> {
     }
     let motions = generate_all(args)?;
     std::fs::create_dir_all(&args.out).map_err(Error::io("create", &args.out))?;
-    let overwrite = if args.force { Overwrite::Replace } else { Overwrite::Refuse };
+    let overwrite = if args.force {
+        Overwrite::Replace
+    } else {
+        Overwrite::Refuse
+    };
     for motion in &motions {
-        let name = format!("{}_{:.2}s_seed{}.{}", motion.action, motion.seconds, motion.seed, args.format.extension());
+        let name = format!(
+            "{}_{:.2}s_seed{}.{}",
+            motion.action,
+            motion.seconds,
+            motion.seed,
+            args.format.extension()
+        );
         for file in export::write(motion, args.format, &args.out.join(name), overwrite)? {
             println!("{}", file.display());
         }
     }
     if args.plot {
-        let path = args.out.join(format!("{}_seed{}.svg", args.action, args.seed));
-        let title = format!("{}, {} s, from {}", args.action, args.seconds, args.source.display());
+        let path = args
+            .out
+            .join(format!("{}_seed{}.svg", args.action, args.seed));
+        let title = format!(
+            "{}, {} s, from {}",
+            args.action,
+            args.seconds,
+            args.source.display()
+        );
         picture::write(&motions, &title, &path, overwrite)?;
         println!("{}", path.display());
     }
@@ -86,9 +105,13 @@ fn generate_all(args: &GenerateArgs) -> Result<Vec<Motion>> {
     if args.source.is_dir() {
         let checkpoint = Checkpoint::load(&args.source)?;
         let mixtures = mixture_file::of_checkpoint(&args.source, &checkpoint)?;
-        return requests.map(|request| generate_float(&checkpoint, &mixtures, &request)).collect();
+        return requests
+            .map(|request| generate_float(&checkpoint, &mixtures, &request))
+            .collect();
     }
     let blob = read_blob(&args.source)?;
     let model = load(&args.source, &blob)?;
-    requests.map(|request| generate_blob(&args.source, &model, &request)).collect()
+    requests
+        .map(|request| generate_blob(&args.source, &model, &request))
+        .collect()
 }
