@@ -30,10 +30,7 @@ pub fn angles_from_rotation6d(channels: [i32; 6]) -> Angles {
     let first = normalize([a0, a1, a2], [1.0, 0.0, 0.0]);
     let along = dot(first, [b0, b1, b2]);
     let [f0, f1, f2] = first;
-    let second = normalize(
-        [b0 - along * f0, b1 - along * f1, b2 - along * f2],
-        [0.0, 1.0, 0.0],
-    );
+    let second = normalize([b0 - along * f0, b1 - along * f1, b2 - along * f2], [0.0, 1.0, 0.0]);
     let [s0, s1, s2] = second;
     // Third row = first × second; the first column of the matrix holds yaw and pitch.
     let third_0 = f1 * s2 - f2 * s1;
@@ -52,21 +49,13 @@ fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
 
 /// The angle of the point (x, y); 0 at the origin, where micromath gives no number.
 fn arc_tangent(y: f32, x: f32) -> f32 {
-    if x == 0.0 && y == 0.0 {
-        0.0
-    } else {
-        F32Ext::atan2(y, x)
-    }
+    if x == 0.0 && y == 0.0 { 0.0 } else { F32Ext::atan2(y, x) }
 }
 
 /// `v / |v|`, or `fallback` when `v` is zero.
 fn normalize(v: [f32; 3], fallback: [f32; 3]) -> [f32; 3] {
     let length = square_root(dot(v, v));
-    if length > 0.0 {
-        v.map(|x| x / length)
-    } else {
-        fallback
-    }
+    if length > 0.0 { v.map(|x| x / length) } else { fallback }
 }
 
 /// micromath's estimate is good to a few percent; one Newton step brings it below 0.1 %.
@@ -102,9 +91,7 @@ mod tests {
                     let wanted = [yaw, pitch, roll].map(|angle| f64::from(angle).to_radians());
                     let got = angles_from_rotation6d(rows_of(wanted));
                     for (wanted, got) in
-                        wanted
-                            .into_iter()
-                            .zip([got.yaw_rad, got.pitch_rad, got.roll_rad])
+                        wanted.into_iter().zip([got.yaw_rad, got.pitch_rad, got.roll_rad])
                     {
                         let error = (f64::from(got) - wanted).to_degrees().abs();
                         worst = worst.max(error);
@@ -120,12 +107,7 @@ mod tests {
     }
 
     fn rows_of([yaw, pitch, roll]: [f64; 3]) -> [i32; 6] {
-        let (sy, cy, sp, cp) = (
-            libm::sin(yaw),
-            libm::cos(yaw),
-            libm::sin(pitch),
-            libm::cos(pitch),
-        );
+        let (sy, cy, sp, cp) = (libm::sin(yaw), libm::cos(yaw), libm::sin(pitch), libm::cos(pitch));
         let (sr, cr) = (libm::sin(roll), libm::cos(roll));
         let rows = [
             cy * cp,

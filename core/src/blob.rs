@@ -46,27 +46,18 @@ pub(crate) struct Envelope<'a> {
 impl<'a> Envelope<'a> {
     /// Checks length, magic, version and checksum, in the order in which a user can act on them.
     pub fn parse(bytes: &'a [u8]) -> Result<Self, BlobError> {
-        let too_short = BlobError::WrongLength {
-            found: bytes.len(),
-            expected: HEADER_BYTES,
-        };
+        let too_short = BlobError::WrongLength { found: bytes.len(), expected: HEADER_BYTES };
         if bytes.get(field::MAGIC).ok_or(too_short)? != MAGIC {
             return Err(BlobError::WrongMagic);
         }
         let version = u16_at(bytes, field::VERSION).ok_or(too_short)?;
         if version > VERSION {
-            return Err(BlobError::NewerVersion {
-                found: version,
-                newest: VERSION,
-            });
+            return Err(BlobError::NewerVersion { found: version, newest: VERSION });
         }
         let length = u32_at(bytes, field::LENGTH).ok_or(too_short)?;
         if bytes.len() != length as usize || bytes.len() < HEADER_BYTES {
             let expected = (length as usize).max(HEADER_BYTES);
-            return Err(BlobError::WrongLength {
-                found: bytes.len(),
-                expected,
-            });
+            return Err(BlobError::WrongLength { found: bytes.len(), expected });
         }
         let stored = u32_at(bytes, field::CRC).ok_or(too_short)?;
         let computed = checksum(bytes);
@@ -85,9 +76,7 @@ impl<'a> Envelope<'a> {
         if usize::from(header_length) != HEADER_BYTES {
             return Err(bad("header length", u32::from(header_length)));
         }
-        if bytes
-            .get(field::RESERVED)
-            .is_none_or(|reserved| reserved.iter().any(|&byte| byte != 0))
+        if bytes.get(field::RESERVED).is_none_or(|reserved| reserved.iter().any(|&byte| byte != 0))
         {
             return Err(bad("reserved header bytes", 0));
         }
@@ -96,10 +85,7 @@ impl<'a> Envelope<'a> {
             .get(HEADER_BYTES..)
             .and_then(|rest| rest.get(..length as usize))
             .ok_or(bad("descriptions length", length))?;
-        Ok(Self {
-            descriptions,
-            bytes,
-        })
+        Ok(Self { descriptions, bytes })
     }
 
     /// Offset of the first tensor.
@@ -152,17 +138,14 @@ impl BlobParts<'_> {
     /// The result still has to pass `Model::from_bytes`, which checks everything else.
     pub fn emit(&self, output: &mut [u8]) -> Result<usize, BlobError> {
         let space = output.len();
-        let descriptions_end = self
-            .emit_descriptions(output)
-            .ok_or(too_small(space, HEADER_BYTES))?;
+        let descriptions_end =
+            self.emit_descriptions(output).ok_or(too_small(space, HEADER_BYTES))?;
         let mut end = descriptions_end;
         for (kind, length) in tensor_plan(self.manifest) {
             let start = aligned(end as u64) as usize;
             let tensor = self.tensor(kind, length)?;
             let needed = start + tensor.len();
-            let gap = output
-                .get_mut(end..needed)
-                .ok_or(too_small(space, needed))?;
+            let gap = output.get_mut(end..needed).ok_or(too_small(space, needed))?;
             gap.fill(0);
             if let Some(place) = gap.get_mut(start - end..) {
                 place.copy_from_slice(tensor);
@@ -174,39 +157,25 @@ impl BlobParts<'_> {
     }
 
     fn tensor(&self, kind: TensorKind, length: u64) -> Result<&[u8], BlobError> {
-        let tensor = self
-            .tensors
-            .iter()
-            .find(|(found, _)| *found == kind)
-            .map_or(&[][..], |found| found.1);
+        let tensor =
+            self.tensors.iter().find(|(found, _)| *found == kind).map_or(&[][..], |found| found.1);
         if tensor.len() as u64 == length {
             return Ok(tensor);
         }
-        Err(BlobError::BadField {
-            field: kind.part(),
-            value: tensor.len() as u32,
-        })
+        Err(BlobError::BadField { field: kind.part(), value: tensor.len() as u32 })
     }
 
     fn emit_descriptions(&self, output: &mut [u8]) -> Option<usize> {
         let mut end = HEADER_BYTES;
-        end += postcard::to_slice(self.manifest, output.get_mut(end..)?)
-            .ok()?
-            .len();
+        end += postcard::to_slice(self.manifest, output.get_mut(end..)?).ok()?.len();
         for group in self.groups {
-            end += postcard::to_slice(group, output.get_mut(end..)?)
-                .ok()?
-                .len();
+            end += postcard::to_slice(group, output.get_mut(end..)?).ok()?.len();
         }
         for action in self.actions {
-            end += postcard::to_slice(action, output.get_mut(end..)?)
-                .ok()?
-                .len();
+            end += postcard::to_slice(action, output.get_mut(end..)?).ok()?.len();
         }
         for joint in self.joints {
-            end += postcard::to_slice(joint, output.get_mut(end..)?)
-                .ok()?
-                .len();
+            end += postcard::to_slice(joint, output.get_mut(end..)?).ok()?.len();
         }
         Some(end)
     }
@@ -215,18 +184,14 @@ impl BlobParts<'_> {
         let blob = output.get_mut(..end)?;
         let descriptions_length = (descriptions_end - HEADER_BYTES) as u32;
         blob.get_mut(field::MAGIC)?.copy_from_slice(&MAGIC);
-        blob.get_mut(field::VERSION)?
-            .copy_from_slice(&VERSION.to_le_bytes());
-        blob.get_mut(field::HEADER_LENGTH)?
-            .copy_from_slice(&(HEADER_BYTES as u16).to_le_bytes());
-        blob.get_mut(field::LENGTH)?
-            .copy_from_slice(&(end as u32).to_le_bytes());
+        blob.get_mut(field::VERSION)?.copy_from_slice(&VERSION.to_le_bytes());
+        blob.get_mut(field::HEADER_LENGTH)?.copy_from_slice(&(HEADER_BYTES as u16).to_le_bytes());
+        blob.get_mut(field::LENGTH)?.copy_from_slice(&(end as u32).to_le_bytes());
         blob.get_mut(field::DESCRIPTIONS_LENGTH)?
             .copy_from_slice(&descriptions_length.to_le_bytes());
         blob.get_mut(field::RESERVED)?.fill(0);
         let crc = checksum(blob);
-        blob.get_mut(field::CRC)?
-            .copy_from_slice(&crc.to_le_bytes());
+        blob.get_mut(field::CRC)?.copy_from_slice(&crc.to_le_bytes());
         Some(end)
     }
 }

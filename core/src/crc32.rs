@@ -13,11 +13,7 @@ const TABLE: [u32; 16] = {
         let mut value = nibble as u32;
         let mut bit = 0;
         while bit < 4 {
-            value = if value & 1 == 1 {
-                (value >> 1) ^ POLYNOMIAL
-            } else {
-                value >> 1
-            };
+            value = if value & 1 == 1 { (value >> 1) ^ POLYNOMIAL } else { value >> 1 };
             bit += 1;
         }
         table[nibble] = value;
@@ -28,10 +24,7 @@ const TABLE: [u32; 16] = {
 
 /// CRC-32 of the concatenation of `parts`.
 pub(crate) fn crc32<'a>(parts: impl IntoIterator<Item = &'a [u8]>) -> u32 {
-    !parts
-        .into_iter()
-        .flatten()
-        .fold(u32::MAX, |crc, &byte| nibble(nibble(crc ^ u32::from(byte))))
+    !parts.into_iter().flatten().fold(u32::MAX, |crc, &byte| nibble(nibble(crc ^ u32::from(byte))))
 }
 
 fn nibble(crc: u32) -> u32 {

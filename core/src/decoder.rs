@@ -46,10 +46,7 @@ impl<'m, 'w> Decoder<'m, 'w> {
     ) -> Result<Self, BlobError> {
         let needed = model.workspace_width();
         if WIDTH < needed {
-            return Err(BlobError::WorkspaceTooSmall {
-                width: WIDTH,
-                needed,
-            });
+            return Err(BlobError::WorkspaceTooSmall { width: WIDTH, needed });
         }
         let engine = match model.number_format() {
             format @ (NumberFormat::W8A16 | NumberFormat::W8A8) => {
@@ -120,9 +117,7 @@ fn decode<A: Arithmetic>(
         return;
     };
     let (mut front, mut back) = (&mut *buffers.front, &mut *buffers.back);
-    embed(position, model.frequencies, front, |q15| {
-        arithmetic.sinusoid(q15)
-    });
+    embed(position, model.frequencies, front, |q15| arithmetic.sinusoid(q15));
     arithmetic.time_half(time_half, inputs_of(time_half, front), buffers.folded, back);
     for layer in hidden {
         core::mem::swap(&mut front, &mut back);
@@ -154,11 +149,7 @@ mod tests {
         let mut workspace = Workspace::<8>::new();
         let mut decoder = Decoder::new(&model, &mut workspace).unwrap();
         let mut random = Pcg32::new(5);
-        decoder.start(
-            &model
-                .sample(ActionId(1), 44, &mut || random.next_u32())
-                .unwrap(),
-        );
+        decoder.start(&model.sample(ActionId(1), 44, &mut || random.next_u32()).unwrap());
         let mut pose = Pose::new();
         decoder.decode(position, &mut pose);
         pose
@@ -169,13 +160,7 @@ mod tests {
         let blob = specimen(NumberFormat::W8A8, SamplerKind::ClipCodes);
         let model = Model::from_bytes(&blob).unwrap();
         let error = Decoder::new(&model, &mut Workspace::<7>::new()).unwrap_err();
-        assert_eq!(
-            error,
-            BlobError::WorkspaceTooSmall {
-                width: 7,
-                needed: 8
-            }
-        );
+        assert_eq!(error, BlobError::WorkspaceTooSmall { width: 7, needed: 8 });
     }
 
     #[test]

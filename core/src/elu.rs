@@ -42,11 +42,7 @@ const POWERS: [u32; STEPS + 1] = {
 /// (asserted by `elu_error_over_the_whole_negative_domain`); exact for x ≥ 0.
 #[inline]
 pub(crate) fn elu(x: i32) -> i32 {
-    if x >= 0 {
-        x
-    } else {
-        exponential(x.unsigned_abs()) - ONE
-    }
+    if x >= 0 { x } else { exponential(x.unsigned_abs()) - ONE }
 }
 
 /// `e^−magnitude` in Q15.16, for a magnitude in Q16.16.

@@ -93,23 +93,13 @@ impl fmt::Display for BlobError {
                 write!(out, "{field} is {value}, at most {max} fit")
             }
             Self::AccumulatorOverflow { layer, row } => {
-                write!(
-                    out,
-                    "row {row} of layer {layer} could overflow its accumulator"
-                )
+                write!(out, "row {row} of layer {layer} could overflow its accumulator")
             }
             Self::FormatNotBuilt(format) => {
-                write!(
-                    out,
-                    "number format {} is not part of this build",
-                    format.name()
-                )
+                write!(out, "number format {} is not part of this build", format.name())
             }
             Self::WorkspaceTooSmall { width, needed } => {
-                write!(
-                    out,
-                    "the workspace is {width} wide, the model needs {needed}"
-                )
+                write!(out, "the workspace is {width} wide, the model needs {needed}")
             }
         }
     }
@@ -145,15 +135,8 @@ impl fmt::Display for SampleError {
             Self::UnknownAction { action, count } => {
                 write!(out, "action {action} does not exist, the model has {count}")
             }
-            Self::OutsideTraining {
-                frames,
-                frames_min,
-                frames_max,
-            } => {
-                write!(
-                    out,
-                    "{frames} frames are outside the trained {frames_min} to {frames_max}"
-                )
+            Self::OutsideTraining { frames, frames_min, frames_max } => {
+                write!(out, "{frames} frames are outside the trained {frames_min} to {frames_max}")
             }
         }
     }

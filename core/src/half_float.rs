@@ -33,15 +33,11 @@ impl Arithmetic for Half {
         code: &[i16],
         folded: &mut [f32],
     ) {
-        for ((folded, row), bias) in folded
-            .iter_mut()
-            .zip(rows(code_half))
-            .zip(f32s(code_half.bias))
+        for ((folded, row), bias) in
+            folded.iter_mut().zip(rows(code_half)).zip(f32s(code_half.bias))
         {
             let values = code.iter().map(|&value| f32::from(value) * self.code_unit);
-            *folded = weights(row)
-                .zip(values)
-                .fold(bias, |sum, (w, x)| sum + w * x);
+            *folded = weights(row).zip(values).fold(bias, |sum, (w, x)| sum + w * x);
         }
     }
 
@@ -61,13 +57,7 @@ impl Arithmetic for Half {
         for (row, bias) in rows(layer).zip(f32s(layer.bias)) {
             // `as` saturates, so that even an absurd weight cannot do more than reach the end of the range.
             let scaled = dot(row, input, bias) * 65_536.0;
-            emit(
-                (if scaled < 0.0 {
-                    scaled - 0.5
-                } else {
-                    scaled + 0.5
-                }) as i32,
-            );
+            emit((if scaled < 0.0 { scaled - 0.5 } else { scaled + 0.5 }) as i32);
         }
     }
 }
@@ -100,7 +90,5 @@ fn dot(row: &[u8], input: &[f32], start: f32) -> f32 {
         }
     }
     let [a, b, c, d] = sums;
-    tail.fold(start + ((a + b) + (c + d)), |sum, (weight, &x)| {
-        sum + weight * x
-    })
+    tail.fold(start + ((a + b) + (c + d)), |sum, (weight, &x)| sum + weight * x)
 }

@@ -20,19 +20,12 @@ impl Arithmetic for Integer {
     fn sinusoid(&self, q15: i16) -> i16 {
         let one = i32::from(self.0.sinusoid_one());
         // Exact for one = 32,767 up to the rounding of (q15 · 32767 + 2^14) / 2^15 back to q15.
-        if one == 32_767 {
-            q15
-        } else {
-            ((i32::from(q15) * one + (1 << 14)) >> 15) as i16
-        }
+        if one == 32_767 { q15 } else { ((i32::from(q15) * one + (1 << 14)) >> 15) as i16 }
     }
 
     fn fold(&self, code_half: &Layer<'_>, time_half: &Layer<'_>, code: &[i16], folded: &mut [i32]) {
         let input_max = input_magnitude_max(TIME_LAYER, self.0);
-        let rows = code_half
-            .rows()
-            .zip(i32s(code_half.bias))
-            .zip(code_half.requantizers());
+        let rows = code_half.rows().zip(i32s(code_half.bias)).zip(code_half.requantizers());
         for ((folded, ((row, bias), requantizer)), time_row) in
             folded.iter_mut().zip(rows).zip(time_half.rows())
         {
@@ -74,10 +67,7 @@ impl Integer {
         let rows = layer.rows().zip(starts).zip(layer.requantizers());
         for (output, ((row, start), requantizer)) in output.iter_mut().zip(rows) {
             let pre_activation = requantizer.apply(dot(row, input, start));
-            let stored = layer
-                .activation
-                .apply(elu(pre_activation))
-                .saturating_add(zero_point);
+            let stored = layer.activation.apply(elu(pre_activation)).saturating_add(zero_point);
             *output = stored.clamp(low, high) as i16;
         }
     }
@@ -86,9 +76,6 @@ impl Integer {
 /// `start + Σ w·x` over a row of i8 weights.
 #[inline]
 fn dot(row: &[u8], input: &[i16], start: i32) -> i32 {
-    let products = row
-        .iter()
-        .zip(input)
-        .map(|(&w, &x)| i32::from(w.cast_signed()) * i32::from(x));
+    let products = row.iter().zip(input).map(|(&w, &x)| i32::from(w.cast_signed()) * i32::from(x));
     products.fold(start, i32::wrapping_add)
 }

@@ -24,14 +24,7 @@ pub(crate) struct Layer<'a> {
 impl<'a> Layer<'a> {
     pub fn new(shape: LayerShape) -> Self {
         let activation = Requantizer::ZERO;
-        Self {
-            shape,
-            weights: &[],
-            bias: &[],
-            multipliers: &[],
-            shifts: &[],
-            activation,
-        }
+        Self { shape, weights: &[], bias: &[], multipliers: &[], shifts: &[], activation }
     }
 
     pub fn set_tensor(&mut self, kind: TensorKind, tensor: &'a [u8]) {
@@ -56,25 +49,16 @@ impl<'a> Layer<'a> {
 
     /// Accumulator → next format, a row each; integer formats.
     pub fn requantizers(&self) -> impl Iterator<Item = Requantizer> + use<'a> {
-        i32s(self.multipliers)
-            .zip(i8s(self.shifts))
-            .map(|(multiplier, shift)| {
-                Requantizer::new(multiplier, shift).unwrap_or(Requantizer::ZERO)
-            })
+        i32s(self.multipliers).zip(i8s(self.shifts)).map(|(multiplier, shift)| {
+            Requantizer::new(multiplier, shift).unwrap_or(Requantizer::ZERO)
+        })
     }
 
     /// Checks scales and, for the integer formats, the certificate: Σ|w| · max|a| + |bias| < 2^31 in every row.
     pub fn check(&mut self, index: usize, format: NumberFormat) -> Result<(), BlobError> {
-        let bad = |field| BlobError::BadField {
-            field,
-            value: index as u32,
-        };
+        let bad = |field| BlobError::BadField { field, value: index as u32 };
         if format == NumberFormat::F16 {
-            return if self.is_finite() {
-                Ok(())
-            } else {
-                Err(bad("non-finite weight in layer"))
-            };
+            return if self.is_finite() { Ok(()) } else { Err(bad("non-finite weight in layer")) };
         }
         let scale = self.shape.activation;
         self.activation = Requantizer::new(scale.multiplier, scale.shift)
@@ -95,14 +79,9 @@ impl<'a> Layer<'a> {
 
     fn first_overflowing_row(&self, index: usize, format: NumberFormat) -> Option<usize> {
         let input_max = input_magnitude_max(index, format);
-        let biases = i32s(self.bias)
-            .map(i32::unsigned_abs)
-            .chain(core::iter::repeat(0));
+        let biases = i32s(self.bias).map(i32::unsigned_abs).chain(core::iter::repeat(0));
         let worst = |(row, bias)| u64::from(bias) + weight_magnitude_sum(row) * input_max;
-        self.rows()
-            .zip(biases)
-            .map(worst)
-            .position(|sum| sum > i32::MAX as u64)
+        self.rows().zip(biases).map(worst).position(|sum| sum > i32::MAX as u64)
     }
 
     fn is_finite(&self) -> bool {
@@ -123,9 +102,5 @@ pub(crate) fn input_magnitude_max(index: usize, format: NumberFormat) -> u64 {
 
 /// Σ|w| of a row; at most 4096 · 128.
 pub(crate) fn weight_magnitude_sum(row: &[u8]) -> u64 {
-    u64::from(
-        i8s(row)
-            .map(|weight| u32::from(weight.unsigned_abs()))
-            .sum::<u32>(),
-    )
+    u64::from(i8s(row).map(|weight| u32::from(weight.unsigned_abs())).sum::<u32>())
 }

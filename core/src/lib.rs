@@ -3,12 +3,7 @@
 #![deny(unsafe_code, missing_docs)]
 #![cfg_attr(
     not(test),
-    deny(
-        clippy::indexing_slicing,
-        clippy::panic,
-        clippy::expect_used,
-        clippy::unwrap_used
-    )
+    deny(clippy::indexing_slicing, clippy::panic, clippy::expect_used, clippy::unwrap_used)
 )]
 
 #[cfg(test)]

@@ -240,23 +240,14 @@ pub fn tensor_plan(manifest: &Manifest<'_>) -> impl Iterator<Item = (TensorKind,
     let diagonal = u64::from(sampler.kind == SamplerKind::DiagonalMixture);
     let action_numbers = u64::from(manifest.action_count) * u64::from(manifest.action_code_count);
     let tables = [
-        (
-            TensorKind::Frequencies,
-            4 * u64::from(manifest.frequency_count),
-        ),
+        (TensorKind::Frequencies, 4 * u64::from(manifest.frequency_count)),
         (TensorKind::ActionCodes, 2 * action_numbers),
         (TensorKind::Components, component_numbers),
         (TensorKind::ComponentSteps, 4 * code_count),
         (TensorKind::Deviations, diagonal * component_numbers),
         (TensorKind::DeviationSteps, 4 * code_count),
-        (
-            TensorKind::Members,
-            MEMBER_BYTES as u64 * u64::from(sampler.member_count),
-        ),
-        (
-            TensorKind::Intervals,
-            INTERVAL_BYTES as u64 * u64::from(sampler.interval_count),
-        ),
+        (TensorKind::Members, MEMBER_BYTES as u64 * u64::from(sampler.member_count)),
+        (TensorKind::Intervals, INTERVAL_BYTES as u64 * u64::from(sampler.interval_count)),
     ];
     let format = manifest.number_format;
     let layers = manifest.layers.clone().into_iter().enumerate();
@@ -270,10 +261,7 @@ fn layer_plan(index: usize, shape: LayerShape, format: NumberFormat) -> [(Tensor
     let with_bias = u64::from(index != TIME_LAYER);
     let with_scales = u64::from(format != NumberFormat::F16);
     [
-        (
-            TensorKind::Weights(index),
-            rows * columns * format.weight_bytes() as u64,
-        ),
+        (TensorKind::Weights(index), rows * columns * format.weight_bytes() as u64),
         (TensorKind::Bias(index), with_bias * 4 * rows),
         (TensorKind::Multipliers(index), with_scales * 4 * rows),
         (TensorKind::Shifts(index), with_scales * rows),

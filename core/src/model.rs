@@ -43,10 +43,7 @@ impl<'a> Model<'a> {
     pub fn from_bytes(bytes: &'a [u8]) -> Result<Self, BlobError> {
         let envelope = Envelope::parse(bytes)?;
         let (manifest, names) = postcard::take_from_bytes::<Manifest<'a>>(envelope.descriptions)
-            .map_err(|_| BlobError::BadField {
-                field: "manifest",
-                value: 0,
-            })?;
+            .map_err(|_| BlobError::BadField { field: "manifest", value: 0 })?;
         check_limits(&manifest)?;
         check_shapes(&manifest)?;
         let mut model = Self::slice_tensors(&envelope, manifest, names)?;
@@ -67,11 +64,8 @@ impl<'a> Model<'a> {
     ) -> Result<Self, BlobError> {
         let found = envelope.bytes.len();
         let (mut frequencies, mut sampler) = (&[][..], Sampler::new(&manifest));
-        let mut layers: heapless::Vec<Layer<'a>, LAYERS_MAX> = manifest
-            .layers
-            .iter()
-            .map(|&shape| Layer::new(shape))
-            .collect();
+        let mut layers: heapless::Vec<Layer<'a>, LAYERS_MAX> =
+            manifest.layers.iter().map(|&shape| Layer::new(shape)).collect();
         let mut end = envelope.tensors_start();
         for (kind, length) in tensor_plan(&manifest) {
             let start = aligned(end);
@@ -98,21 +92,12 @@ impl<'a> Model<'a> {
             let expected = usize::try_from(end).unwrap_or(usize::MAX);
             return Err(BlobError::WrongLength { found, expected });
         }
-        Ok(Self {
-            manifest,
-            names,
-            frequencies,
-            sampler,
-            layers,
-        })
+        Ok(Self { manifest, names, frequencies, sampler, layers })
     }
 
     /// Walks all names once, so that the iterators below cannot meet a broken one later.
     fn check_names(&self) -> Result<(), BlobError> {
-        let bad = |field, value: usize| BlobError::BadField {
-            field,
-            value: value as u32,
-        };
+        let bad = |field, value: usize| BlobError::BadField { field, value: value as u32 };
         let channels: usize = self.groups().map(|group| group.kind.channel_count()).sum();
         if self.groups().count() != usize::from(self.manifest.group_count) {
             return Err(bad("groups", self.groups().count()));
@@ -133,35 +118,35 @@ impl<'a> Model<'a> {
         match self.joints().enumerate().position(parent_follows) {
             Some(index) => Err(bad("joint parent", index)),
             None if self.joint_stream().trailing().is_empty() => Ok(()),
-            None => Err(bad(
-                "bytes after the names",
-                self.joint_stream().trailing().len(),
-            )),
+            None => Err(bad("bytes after the names", self.joint_stream().trailing().len())),
         }
     }
 
     /// Groups of the layout, in channel order.
     pub fn groups(&self) -> impl Iterator<Item = Group<'a>> + use<'a> {
-        Names::<Group<'a>>::new(self.names, self.manifest.group_count)
+        self.group_stream()
     }
 
     /// Names of the actions, in the order of [`ActionId`].
     pub fn actions(&self) -> impl Iterator<Item = &'a str> + use<'a> {
-        let groups = Names::<Group<'a>>::new(self.names, self.manifest.group_count);
-        Names::new(groups.trailing(), self.manifest.action_count)
+        self.action_stream()
     }
 
     /// Joints of the skeleton; none when the model has no skeleton.
     pub fn joints(&self) -> impl Iterator<Item = Joint<'a>> + use<'a> {
-        let groups = Names::<Group<'a>>::new(self.names, self.manifest.group_count);
-        let actions = Names::<&str>::new(groups.trailing(), self.manifest.action_count);
-        Names::new(actions.trailing(), self.manifest.joint_count)
+        self.joint_stream()
+    }
+
+    fn group_stream(&self) -> Names<'a, Group<'a>> {
+        Names::new(self.names, self.manifest.group_count)
+    }
+
+    fn action_stream(&self) -> Names<'a, &'a str> {
+        Names::new(self.group_stream().trailing(), self.manifest.action_count)
     }
 
     fn joint_stream(&self) -> Names<'a, Joint<'a>> {
-        let groups = Names::<Group<'a>>::new(self.names, self.manifest.group_count);
-        let actions = Names::<&str>::new(groups.trailing(), self.manifest.action_count);
-        Names::new(actions.trailing(), self.manifest.joint_count)
+        Names::new(self.action_stream().trailing(), self.manifest.joint_count)
     }
 
     /// The action with this name.
@@ -195,24 +180,15 @@ impl<'a> Model<'a> {
         let given = values.iter().copied().chain(core::iter::repeat(0.0));
         let round = |value: f32| {
             let scaled = value * one;
-            (if scaled < 0.0 {
-                scaled - 0.5
-            } else {
-                scaled + 0.5
-            }) as i16
+            (if scaled < 0.0 { scaled - 0.5 } else { scaled + 0.5 }) as i16
         };
-        Code {
-            values: given.take(self.code_count()).map(round).collect(),
-        }
+        Code { values: given.take(self.code_count()).map(round).collect() }
     }
 
     /// The numbers of a code (β then α) as floats, exact.
     pub fn code_to_f32(&self, code: &Code) -> impl Iterator<Item = f32> {
         let one = (1u32 << self.manifest.code_fraction_bits) as f32;
-        code.values
-            .clone()
-            .into_iter()
-            .map(move |value| f32::from(value) / one)
+        code.values.clone().into_iter().map(move |value| f32::from(value) / one)
     }
 
     /// Everything of fixed size that the blob says about itself.
@@ -237,10 +213,7 @@ impl<'a> Model<'a> {
 
     /// Channels of a pose.
     pub fn channel_count(&self) -> usize {
-        self.manifest
-            .layers
-            .last()
-            .map_or(0, |shape| usize::from(shape.output_count))
+        self.manifest.layers.last().map_or(0, |shape| usize::from(shape.output_count))
     }
 
     /// Numbers of a code, β and α together.
@@ -260,20 +233,12 @@ impl<'a> Model<'a> {
 
     /// Multiply-accumulates to begin a motion (the code half of layer 1).
     pub fn multiply_accumulates_per_motion(&self) -> u64 {
-        self.manifest
-            .layers
-            .get(CODE_LAYER)
-            .map_or(0, multiply_accumulates)
+        self.manifest.layers.get(CODE_LAYER).map_or(0, multiply_accumulates)
     }
 
     /// Multiply-accumulates of one pose.
     pub fn multiply_accumulates_per_pose(&self) -> u64 {
-        self.manifest
-            .layers
-            .iter()
-            .skip(TIME_LAYER)
-            .map(multiply_accumulates)
-            .sum()
+        self.manifest.layers.iter().skip(TIME_LAYER).map(multiply_accumulates).sum()
     }
 }
 
@@ -282,11 +247,8 @@ fn multiply_accumulates(shape: &LayerShape) -> u64 {
 }
 
 fn check_limits(manifest: &Manifest<'_>) -> Result<(), BlobError> {
-    let widest = manifest
-        .layers
-        .iter()
-        .map(|shape| shape.input_count.max(shape.output_count))
-        .max();
+    let widest =
+        manifest.layers.iter().map(|shape| shape.input_count.max(shape.output_count)).max();
     let channels = manifest.layers.last().map_or(0, |shape| shape.output_count);
     let code_count =
         u32::from(manifest.sequence_code_count) + u32::from(manifest.action_code_count);
@@ -295,50 +257,22 @@ fn check_limits(manifest: &Manifest<'_>) -> Result<(), BlobError> {
         ("actions", u32::from(manifest.action_count), NAMES_MAX),
         ("joints", u32::from(manifest.joint_count), NAMES_MAX),
         ("numbers of a code", code_count, CODE_MAX),
-        (
-            "sinusoids",
-            2 * u32::from(manifest.frequency_count),
-            SINUSOIDS_MAX,
-        ),
+        ("sinusoids", 2 * u32::from(manifest.frequency_count), SINUSOIDS_MAX),
         ("channels", u32::from(channels), CHANNELS_MAX),
         ("layer width", u32::from(widest.unwrap_or(0)), WIDTH_MAX),
-        (
-            "code fraction bits",
-            u32::from(manifest.code_fraction_bits),
-            15,
-        ),
-        (
-            "components",
-            manifest.sampler.component_count,
-            u16::MAX as usize,
-        ),
-        (
-            "step towards a neighbour",
-            manifest.sampler.step_max_q16,
-            1 << 16,
-        ),
+        ("code fraction bits", u32::from(manifest.code_fraction_bits), 15),
+        ("components", manifest.sampler.component_count, u16::MAX as usize),
+        ("step towards a neighbour", manifest.sampler.step_max_q16, 1 << 16),
     ];
-    match limited
-        .into_iter()
-        .find(|&(_, value, max)| value as usize > max)
-    {
-        Some((field, value, max)) => Err(BlobError::OverLimit {
-            field,
-            value,
-            max: max as u32,
-        }),
+    match limited.into_iter().find(|&(_, value, max)| value as usize > max) {
+        Some((field, value, max)) => Err(BlobError::OverLimit { field, value, max: max as u32 }),
         None => Ok(()),
     }
 }
 
 /// Every layer must take what the one before it gives.
 fn check_shapes(manifest: &Manifest<'_>) -> Result<(), BlobError> {
-    let bad = |field, value: usize| {
-        Err(BlobError::BadField {
-            field,
-            value: value as u32,
-        })
-    };
+    let bad = |field, value: usize| Err(BlobError::BadField { field, value: value as u32 });
     let code_count = manifest.sequence_code_count + manifest.action_code_count;
     let layers = &manifest.layers;
     let (Some(code_layer), Some(time_layer)) = (layers.get(CODE_LAYER), layers.get(TIME_LAYER))
@@ -348,9 +282,8 @@ fn check_shapes(manifest: &Manifest<'_>) -> Result<(), BlobError> {
     if layers.len() < 3 {
         return bad("layers", layers.len());
     }
-    if let Some(index) = layers
-        .iter()
-        .position(|shape| shape.input_count == 0 || shape.output_count == 0)
+    if let Some(index) =
+        layers.iter().position(|shape| shape.input_count == 0 || shape.output_count == 0)
     {
         return bad("empty layer", index);
     }
@@ -360,11 +293,7 @@ fn check_shapes(manifest: &Manifest<'_>) -> Result<(), BlobError> {
     if time_layer.input_count != 2 * manifest.frequency_count {
         return bad("shape of layer", TIME_LAYER);
     }
-    let pairs = layers
-        .iter()
-        .zip(layers.iter().skip(1))
-        .enumerate()
-        .skip(TIME_LAYER);
+    let pairs = layers.iter().zip(layers.iter().skip(1)).enumerate().skip(TIME_LAYER);
     for (index, (layer, next)) in pairs {
         if layer.output_count != next.input_count {
             return bad("shape of layer", index + 1);
@@ -375,10 +304,7 @@ fn check_shapes(manifest: &Manifest<'_>) -> Result<(), BlobError> {
     }
     let diagonal = manifest.sampler.kind == SamplerKind::DiagonalMixture;
     if diagonal && manifest.sampler.step_max_q16 != 0 {
-        return bad(
-            "step of a diagonal mixture",
-            manifest.sampler.step_max_q16 as usize,
-        );
+        return bad("step of a diagonal mixture", manifest.sampler.step_max_q16 as usize);
     }
     Ok(())
 }
@@ -392,11 +318,7 @@ struct Names<'a, Item> {
 
 impl<'a, Item: serde::Deserialize<'a>> Names<'a, Item> {
     fn new(bytes: &'a [u8], count: u16) -> Self {
-        Self {
-            bytes,
-            remaining: count,
-            item: core::marker::PhantomData,
-        }
+        Self { bytes, remaining: count, item: core::marker::PhantomData }
     }
 
     /// The bytes after the last item.
@@ -436,10 +358,7 @@ mod tests {
     fn blob_cut_at_every_length_is_rejected() {
         let blob = w8a16();
         for length in 0..blob.len() {
-            assert!(
-                Model::from_bytes(&blob[..length]).is_err(),
-                "{length} bytes were accepted"
-            );
+            assert!(Model::from_bytes(&blob[..length]).is_err(), "{length} bytes were accepted");
         }
     }
 
@@ -461,10 +380,7 @@ mod tests {
     fn blob_with_trailing_bytes_is_rejected() {
         let mut blob = w8a16();
         blob.push(0);
-        assert!(matches!(
-            Model::from_bytes(&blob),
-            Err(BlobError::WrongLength { .. })
-        ));
+        assert!(matches!(Model::from_bytes(&blob), Err(BlobError::WrongLength { .. })));
     }
 
     #[test]
@@ -472,13 +388,7 @@ mod tests {
         let mut blob = w8a16();
         blob[4..6].copy_from_slice(&(VERSION + 1).to_le_bytes());
         let error = Model::from_bytes(&blob).unwrap_err();
-        assert_eq!(
-            error,
-            BlobError::NewerVersion {
-                found: VERSION + 1,
-                newest: VERSION
-            }
-        );
+        assert_eq!(error, BlobError::NewerVersion { found: VERSION + 1, newest: VERSION });
         assert!(error.to_string().contains("newer"));
     }
 
@@ -488,10 +398,7 @@ mod tests {
         for offset in 0..16 {
             let mut shifted = std::vec![0; offset];
             shifted.extend(&blob);
-            assert!(
-                Model::from_bytes(&shifted[offset..]).is_ok(),
-                "offset {offset}"
-            );
+            assert!(Model::from_bytes(&shifted[offset..]).is_ok(), "offset {offset}");
         }
     }
 
@@ -500,25 +407,12 @@ mod tests {
         let blob = w8a16();
         let model = Model::from_bytes(&blob).unwrap();
         assert_eq!(model.actions().collect::<Vec<_>>(), ["nod", "walk"]);
-        assert_eq!(
-            model.groups().map(|group| group.name).collect::<Vec<_>>(),
-            ["root", "jaw"]
-        );
-        assert_eq!(
-            model.joints().map(|joint| joint.parent).collect::<Vec<_>>(),
-            [None, Some(0)]
-        );
+        assert_eq!(model.groups().map(|group| group.name).collect::<Vec<_>>(), ["root", "jaw"]);
+        assert_eq!(model.joints().map(|joint| joint.parent).collect::<Vec<_>>(), [None, Some(0)]);
         assert_eq!(model.action_by_name("walk"), Some(ActionId(1)));
         assert_eq!(model.action_by_name("fly"), None);
         assert_eq!(model.trained_frames(ActionId(0)), 10..=30);
-        assert_eq!(
-            (
-                model.channel_count(),
-                model.code_count(),
-                model.workspace_width()
-            ),
-            (4, 5, 8)
-        );
+        assert_eq!((model.channel_count(), model.code_count(), model.workspace_width()), (4, 5, 8));
         assert_eq!(model.multiply_accumulates_per_motion(), 30);
         assert_eq!(model.multiply_accumulates_per_pose(), 48 + 42 + 28);
     }

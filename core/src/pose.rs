@@ -16,9 +16,7 @@ impl Pose {
 
     /// A pose without channels, to be filled by `Decoder::decode`.
     pub const fn new() -> Self {
-        Self {
-            channels: heapless::Vec::new(),
-        }
+        Self { channels: heapless::Vec::new() }
     }
 
     /// The channels, in layout order.
@@ -28,8 +26,6 @@ impl Pose {
 
     /// The channels as floats, for hosts and parts with an FPU; exact in f64.
     pub fn values(&self) -> impl ExactSizeIterator<Item = f64> + '_ {
-        self.channels
-            .iter()
-            .map(|&value| f64::from(value) / 65_536.0)
+        self.channels.iter().map(|&value| f64::from(value) / 65_536.0)
     }
 }

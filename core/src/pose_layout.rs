@@ -23,12 +23,7 @@ pub enum GroupKind {
 
 impl GroupKind {
     /// Every kind, in the order used by reports.
-    pub const ALL: [Self; 4] = [
-        Self::Scalar,
-        Self::Rotation6d,
-        Self::Translation,
-        Self::Position,
-    ];
+    pub const ALL: [Self; 4] = [Self::Scalar, Self::Rotation6d, Self::Translation, Self::Position];
 
     /// Number of channels that a group of this kind occupies.
     pub const fn channel_count(self) -> usize {

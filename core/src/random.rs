@@ -19,9 +19,7 @@ impl Pcg32 {
 
     /// A generator whose whole sequence follows from `seed`.
     pub const fn new(seed: u64) -> Self {
-        let mut generator = Self {
-            state: seed.wrapping_add(Self::INCREMENT),
-        };
+        let mut generator = Self { state: seed.wrapping_add(Self::INCREMENT) };
         generator.advance();
         generator
     }
@@ -35,10 +33,7 @@ impl Pcg32 {
     }
 
     const fn advance(&mut self) {
-        self.state = self
-            .state
-            .wrapping_mul(Self::MULTIPLIER)
-            .wrapping_add(Self::INCREMENT);
+        self.state = self.state.wrapping_mul(Self::MULTIPLIER).wrapping_add(Self::INCREMENT);
     }
 }
 
@@ -108,11 +103,7 @@ const HALF_NORMAL: [u16; (OCTAVES * STEPS_PER_OCTAVE) as usize + 1] = [
 pub(crate) fn gaussian_q12(random: &mut impl FnMut() -> u32) -> i32 {
     let bits = random();
     let magnitude = half_normal_quantile_q12(bits & 0x7FFF_FFFF);
-    if bits >> 31 == 0 {
-        magnitude
-    } else {
-        -magnitude
-    }
+    if bits >> 31 == 0 { magnitude } else { -magnitude }
 }
 
 /// |x| in Q12 with P(|X| > |x|) = (tail + ½) / 2^31, for a tail of 31 bits.
@@ -156,10 +147,7 @@ mod tests {
     #[test]
     fn gaussian_is_symmetric() {
         for bits in (0..1u32 << 31).step_by(1_000_003) {
-            assert_eq!(
-                gaussian_q12(&mut || bits),
-                -gaussian_q12(&mut || bits | 1 << 31)
-            );
+            assert_eq!(gaussian_q12(&mut || bits), -gaussian_q12(&mut || bits | 1 << 31));
         }
     }
 

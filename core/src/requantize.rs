@@ -16,10 +16,7 @@ impl Requantizer {
     pub const SHIFT_MAX: i8 = 30;
 
     /// The factor 0.
-    pub const ZERO: Self = Self {
-        multiplier: 0,
-        shift: 0,
-    };
+    pub const ZERO: Self = Self { multiplier: 0, shift: 0 };
 
     /// Joins the stored parts; `None` when the shift is out of range or the multiplier negative.
     pub const fn new(multiplier: i32, shift: i8) -> Option<Self> {

@@ -53,14 +53,7 @@ impl Interval {
         let (frames_max, spread) = (halves.next()?, halves.next()?);
         let mut words = i32s(record.get(8..)?).map(i32::cast_unsigned);
         let (member_first, member_count) = (words.next()?, words.next()?);
-        Some(Self {
-            action,
-            frames_min,
-            frames_max,
-            spread,
-            member_first,
-            member_count,
-        })
+        Some(Self { action, frames_min, frames_max, spread, member_first, member_count })
     }
 
     fn contains(&self, frames: u32) -> bool {
@@ -104,10 +97,7 @@ impl<'a> Sampler<'a> {
     /// Every interval must name an action and existing members, every member an existing component, and the
     /// intervals of an action must be disjoint; every action must have one.
     pub fn check(&self) -> Result<(), BlobError> {
-        let bad = |field, value: usize| BlobError::BadField {
-            field,
-            value: value as u32,
-        };
+        let bad = |field, value: usize| BlobError::BadField { field, value: value as u32 };
         for (index, interval) in self.intervals().enumerate() {
             let end = interval.member_first.checked_add(interval.member_count);
             let members =
@@ -137,16 +127,9 @@ impl<'a> Sampler<'a> {
     }
 
     pub fn trained_frames(&self, action: ActionId) -> core::ops::RangeInclusive<u32> {
-        let lengths = || {
-            self.intervals()
-                .filter(|interval| interval.action == action.0)
-        };
-        let frames_min = lengths()
-            .map(|interval| u32::from(interval.frames_min))
-            .min();
-        let frames_max = lengths()
-            .map(|interval| u32::from(interval.frames_max))
-            .max();
+        let lengths = || self.intervals().filter(|interval| interval.action == action.0);
+        let frames_min = lengths().map(|interval| u32::from(interval.frames_min)).min();
+        let frames_max = lengths().map(|interval| u32::from(interval.frames_max)).max();
         frames_min.unwrap_or(0)..=frames_max.unwrap_or(0)
     }
 
@@ -157,21 +140,14 @@ impl<'a> Sampler<'a> {
         random: &mut impl FnMut() -> u32,
     ) -> Result<Code, SampleError> {
         if action.0 >= self.action_count {
-            return Err(SampleError::UnknownAction {
-                action: action.0,
-                count: self.action_count,
-            });
+            return Err(SampleError::UnknownAction { action: action.0, count: self.action_count });
         }
         let trained = self.trained_frames(action);
         let (frames_min, frames_max) = (*trained.start(), *trained.end());
         let interval = self
             .intervals()
             .find(|interval| interval.action == action.0 && interval.contains(frames))
-            .ok_or(SampleError::OutsideTraining {
-                frames,
-                frames_min,
-                frames_max,
-            })?;
+            .ok_or(SampleError::OutsideTraining { frames, frames_min, frames_max })?;
         let mut code = match self.kind {
             SamplerKind::ClipCodes => self.sample_clip(&interval, random),
             SamplerKind::DiagonalMixture => self.sample_gaussian(&interval, random),
@@ -191,14 +167,9 @@ impl<'a> Sampler<'a> {
         let spread = i64::from(interval.spread);
         let sigmas =
             i32s(self.deviation_steps).map(|step| ((i64::from(step) * spread) >> 12) as i32);
-        let means = from
-            .zip(to)
-            .map(|(from, to)| interpolate(from, to, fraction));
+        let means = from.zip(to).map(|(from, to)| interpolate(from, to, fraction));
         Code {
-            values: means
-                .zip(sigmas)
-                .map(|(mean, sigma)| add_noise(mean, sigma, random))
-                .collect(),
+            values: means.zip(sigmas).map(|(mean, sigma)| add_noise(mean, sigma, random)).collect(),
         }
     }
 
@@ -206,22 +177,15 @@ impl<'a> Sampler<'a> {
         let threshold = random() >> 16;
         let last = interval.member_count.saturating_sub(1);
         let heavy = |&member: &u32| {
-            self.member(interval, member)
-                .is_some_and(|m| u32::from(m.1) >= threshold)
+            self.member(interval, member).is_some_and(|m| u32::from(m.1) >= threshold)
         };
         let chosen = (0..last).find(heavy).unwrap_or(last);
         let component = self.component_of(interval, chosen);
-        let deviations = self
-            .row(self.deviations, component)
-            .iter()
-            .zip(i32s(self.deviation_steps));
+        let deviations =
+            self.row(self.deviations, component).iter().zip(i32s(self.deviation_steps));
         let sigmas = deviations.map(|(&deviation, step)| i32::from(deviation).saturating_mul(step));
         let values = self.mean(component).zip(sigmas);
-        Code {
-            values: values
-                .map(|(mean, sigma)| add_noise(mean, sigma, random))
-                .collect(),
-        }
+        Code { values: values.map(|(mean, sigma)| add_noise(mean, sigma, random)).collect() }
     }
 
     /// A component's mean in code units.
@@ -230,16 +194,14 @@ impl<'a> Sampler<'a> {
         row.zip(i32s(self.component_steps)).map(|(value, step)| {
             let product = i64::from(value) * i64::from(step);
             saturate(
-                ((product + (1 << 7)) >> 8).clamp(i64::from(i32::MIN), i64::from(i32::MAX)) as i32,
+                ((product + (1 << 7)) >> 8).clamp(i64::from(i32::MIN), i64::from(i32::MAX)) as i32
             )
         })
     }
 
     fn row(&self, table: &'a [u8], component: u16) -> &'a [u8] {
         let start = usize::from(component) * self.sequence_code_count;
-        table
-            .get(start..start + self.sequence_code_count)
-            .unwrap_or_default()
+        table.get(start..start + self.sequence_code_count).unwrap_or_default()
     }
 
     fn action_code(&self, action: ActionId) -> impl Iterator<Item = i16> + use<'a> {
@@ -255,23 +217,15 @@ impl<'a> Sampler<'a> {
     /// (component, cumulative weight)
     fn member(&self, interval: &Interval, member: u32) -> Option<(u16, u16)> {
         let index = (interval.member_first + member) as usize;
-        parse_member(
-            self.members
-                .get(index * MEMBER_BYTES..)?
-                .get(..MEMBER_BYTES)?,
-        )
+        parse_member(self.members.get(index * MEMBER_BYTES..)?.get(..MEMBER_BYTES)?)
     }
 
     fn members(&self) -> impl Iterator<Item = (u16, u16)> + use<'a> {
-        self.members
-            .chunks_exact(MEMBER_BYTES)
-            .filter_map(parse_member)
+        self.members.chunks_exact(MEMBER_BYTES).filter_map(parse_member)
     }
 
     fn intervals(&self) -> impl Iterator<Item = Interval> + use<'a> {
-        self.intervals
-            .chunks_exact(INTERVAL_BYTES)
-            .filter_map(Interval::parse)
+        self.intervals.chunks_exact(INTERVAL_BYTES).filter_map(Interval::parse)
     }
 }
 
@@ -303,13 +257,7 @@ mod tests {
         let blob = specimen(NumberFormat::W8A16, SamplerKind::ClipCodes);
         let model = Model::from_bytes(&blob).unwrap();
         let error = model.sample(ActionId(2), 10, &mut || 0).unwrap_err();
-        assert_eq!(
-            error,
-            SampleError::UnknownAction {
-                action: 2,
-                count: 2
-            }
-        );
+        assert_eq!(error, SampleError::UnknownAction { action: 2, count: 2 });
     }
 
     #[test]
@@ -320,11 +268,7 @@ mod tests {
             let error = model.sample(ActionId(0), frames, &mut || 0).unwrap_err();
             assert_eq!(
                 error,
-                SampleError::OutsideTraining {
-                    frames,
-                    frames_min: 10,
-                    frames_max: 30
-                }
+                SampleError::OutsideTraining { frames, frames_min: 10, frames_max: 30 }
             );
         }
     }
@@ -336,9 +280,7 @@ mod tests {
             let model = Model::from_bytes(&blob).unwrap();
             let draw = |seed| {
                 let mut random = Pcg32::new(seed);
-                model
-                    .sample(ActionId(1), 44, &mut || random.next_u32())
-                    .unwrap()
+                model.sample(ActionId(1), 44, &mut || random.next_u32()).unwrap()
             };
             assert_eq!(draw(1), draw(1));
             assert_ne!(draw(1), draw(2));
@@ -353,28 +295,16 @@ mod tests {
         let mut random = Pcg32::new(3);
         let draws: Vec<Vec<f64>> = (0..20_000)
             .map(|_| {
-                let code = model
-                    .sample(ActionId(0), 25, &mut || random.next_u32())
-                    .unwrap();
-                code.values()
-                    .iter()
-                    .map(|&value| f64::from(value))
-                    .collect()
+                let code = model.sample(ActionId(0), 25, &mut || random.next_u32()).unwrap();
+                code.values().iter().map(|&value| f64::from(value)).collect()
             })
             .collect();
         let count = draws.len() as f64;
         for column in 0..3 {
             let mean = draws.iter().map(|draw| draw[column]).sum::<f64>() / count;
-            let variance = draws
-                .iter()
-                .map(|draw| (draw[column] - mean).powi(2))
-                .sum::<f64>()
-                / count;
-            assert!(
-                (variance.sqrt() / 117.19 - 1.0).abs() < 0.02,
-                "σ {}",
-                variance.sqrt()
-            );
+            let variance =
+                draws.iter().map(|draw| (draw[column] - mean).powi(2)).sum::<f64>() / count;
+            assert!((variance.sqrt() / 117.19 - 1.0).abs() < 0.02, "σ {}", variance.sqrt());
         }
     }
 }

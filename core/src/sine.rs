@@ -39,11 +39,7 @@ const fn sine_series(x: f64) -> f64 {
 pub(crate) fn sine_q15(phase: u32) -> i16 {
     let within = phase & (QUARTER_TURN - 1);
     let rising = phase & QUARTER_TURN == 0;
-    let position = if rising {
-        within
-    } else {
-        QUARTER_TURN - within
-    };
+    let position = if rising { within } else { QUARTER_TURN - within };
     let index = (position >> 22) as usize;
     let fraction = (position & ((1 << 22) - 1)) >> 6; // Q0.16
     let low = u32::from(QUARTER_WAVE.get(index).copied().unwrap_or(u16::MAX));
@@ -51,11 +47,7 @@ pub(crate) fn sine_q15(phase: u32) -> i16 {
     // Table units · 2^16 → Q0.15: divide by 2 · 2^16, rounding to nearest.
     let magnitude = ((low << 16) + high.wrapping_sub(low).wrapping_mul(fraction) + (1 << 16)) >> 17;
     let magnitude = magnitude.min(32_767) as i16;
-    if phase >> 31 == 0 {
-        magnitude
-    } else {
-        -magnitude
-    }
+    if phase >> 31 == 0 { magnitude } else { -magnitude }
 }
 
 #[cfg(test)]

@@ -26,33 +26,15 @@ pub fn specimen(format: NumberFormat, kind: SamplerKind) -> Vec<u8> {
         .iter()
         .map(|&(kind, length)| (kind, tensor(kind, length as usize, format, &mut random)))
         .collect();
-    let tensors: Vec<(TensorKind, &[u8])> = tensors
-        .iter()
-        .map(|(kind, bytes)| (*kind, bytes.as_slice()))
-        .collect();
+    let tensors: Vec<(TensorKind, &[u8])> =
+        tensors.iter().map(|(kind, bytes)| (*kind, bytes.as_slice())).collect();
     let groups = [
-        Group {
-            name: "root",
-            kind: GroupKind::Translation,
-            unit: Unit::Metre,
-        },
-        Group {
-            name: "jaw",
-            kind: GroupKind::Scalar,
-            unit: Unit::Degree,
-        },
+        Group { name: "root", kind: GroupKind::Translation, unit: Unit::Metre },
+        Group { name: "jaw", kind: GroupKind::Scalar, unit: Unit::Degree },
     ];
     let joints = [
-        Joint {
-            name: "hip",
-            parent: None,
-            offset: [0.0; 3],
-        },
-        Joint {
-            name: "head",
-            parent: Some(0),
-            offset: [0.0, 1.5, 0.0],
-        },
+        Joint { name: "hip", parent: None, offset: [0.0; 3] },
+        Joint { name: "head", parent: Some(0), offset: [0.0, 1.5, 0.0] },
     ];
     let actions = ["nod", "walk"];
     let parts = BlobParts {
@@ -69,11 +51,7 @@ pub fn specimen(format: NumberFormat, kind: SamplerKind) -> Vec<u8> {
 }
 
 fn manifest(format: NumberFormat, kind: SamplerKind) -> Manifest<'static> {
-    let requantizer = ActivationScale {
-        multiplier: 1 << 30,
-        shift: -4,
-        zero_point: 0,
-    };
+    let requantizer = ActivationScale { multiplier: 1 << 30, shift: -4, zero_point: 0 };
     let layers = SHAPES.map(|(input_count, output_count)| LayerShape {
         input_count,
         output_count,
@@ -97,16 +75,9 @@ fn manifest(format: NumberFormat, kind: SamplerKind) -> Manifest<'static> {
             component_count: COMPONENTS as u32,
             member_count: 5,
             interval_count: 3,
-            step_max_q16: if kind == SamplerKind::ClipCodes {
-                13_107
-            } else {
-                0
-            },
+            step_max_q16: if kind == SamplerKind::ClipCodes { 13_107 } else { 0 },
         },
-        provenance: Provenance {
-            config_hash: [7; 32],
-            seed: 9,
-        },
+        provenance: Provenance { config_hash: [7; 32], seed: 9 },
     }
 }
 
@@ -117,46 +88,33 @@ fn tensor(kind: TensorKind, length: usize, format: NumberFormat, random: &mut Pc
             .iter()
             .flat_map(|step| step.to_le_bytes())
             .collect(),
-        TensorKind::ComponentSteps => [5000i32; SEQUENCE_CODE]
-            .iter()
-            .flat_map(|x| x.to_le_bytes())
-            .collect(),
-        TensorKind::DeviationSteps => [30_000i32; SEQUENCE_CODE]
-            .iter()
-            .flat_map(|x| x.to_le_bytes())
-            .collect(),
-        TensorKind::Members => {
-            let members: [[u16; 2]; 5] = [
-                [0, 30_000],
-                [1, 65_535],
-                [2, 65_535],
-                [3, 40_000],
-                [4, 65_535],
-            ];
-            members
-                .iter()
-                .flatten()
-                .flat_map(|x| x.to_le_bytes())
-                .collect()
+        TensorKind::ComponentSteps => {
+            [5000i32; SEQUENCE_CODE].iter().flat_map(|x| x.to_le_bytes()).collect()
         }
-        TensorKind::Intervals => [
-            interval(0, 10..=19, 0, 2),
-            interval(0, 20..=30, 2, 1),
-            interval(1, 40..=50, 3, 2),
-        ]
-        .concat(),
+        TensorKind::DeviationSteps => {
+            [30_000i32; SEQUENCE_CODE].iter().flat_map(|x| x.to_le_bytes()).collect()
+        }
+        TensorKind::Members => {
+            let members: [[u16; 2]; 5] =
+                [[0, 30_000], [1, 65_535], [2, 65_535], [3, 40_000], [4, 65_535]];
+            members.iter().flatten().flat_map(|x| x.to_le_bytes()).collect()
+        }
+        TensorKind::Intervals => {
+            [interval(0, 10..=19, 0, 2), interval(0, 20..=30, 2, 1), interval(1, 40..=50, 3, 2)]
+                .concat()
+        }
         TensorKind::Weights(_) if format == NumberFormat::F16 => (0..length / 2)
             .flat_map(|_| (0x3000 | (random.next_u32() as u16 & 0x83FF)).to_le_bytes())
             .collect(),
-        TensorKind::Bias(_) if format == NumberFormat::F16 => (0..length / 4)
-            .flat_map(|_| (f32::from(noise(random)) / 256.0).to_le_bytes())
-            .collect(),
-        TensorKind::Bias(_) => (0..length / 4)
-            .flat_map(|_| (random.next_u32() as i32 >> 14).to_le_bytes())
-            .collect(),
-        TensorKind::Multipliers(_) => (0..length / 4)
-            .flat_map(|_| (3i32 << 29).to_le_bytes())
-            .collect(),
+        TensorKind::Bias(_) if format == NumberFormat::F16 => {
+            (0..length / 4).flat_map(|_| (f32::from(noise(random)) / 256.0).to_le_bytes()).collect()
+        }
+        TensorKind::Bias(_) => {
+            (0..length / 4).flat_map(|_| (random.next_u32() as i32 >> 14).to_le_bytes()).collect()
+        }
+        TensorKind::Multipliers(_) => {
+            (0..length / 4).flat_map(|_| (3i32 << 29).to_le_bytes()).collect()
+        }
         TensorKind::Shifts(_) => vec![(-3i8).cast_unsigned(); length],
         _ => (0..length).map(|_| noise(random)).collect(),
     }
@@ -168,9 +126,7 @@ fn interval(
     first: u32,
     count: u32,
 ) -> Vec<u8> {
-    let halves = [action, *frames.start(), *frames.end(), 4096]
-        .map(u16::to_le_bytes)
-        .concat();
+    let halves = [action, *frames.start(), *frames.end(), 4096].map(u16::to_le_bytes).concat();
     [halves, [first, count].map(u32::to_le_bytes).concat()].concat()
 }
 

@@ -75,22 +75,11 @@ mod tests {
             let step = (rate_rad / core::f64::consts::TAU * 4_294_967_296.0) as u32;
             for bits in [0, 1 << 16, 470 << 16, (123 << 16) + 32_768, 4000 << 16] {
                 let mut output = [0i16; 2];
-                embed(
-                    FramePosition::from_bits(bits),
-                    &step.to_le_bytes(),
-                    &mut output,
-                    |x| x,
-                );
+                embed(FramePosition::from_bits(bits), &step.to_le_bytes(), &mut output, |x| x);
                 let angle = rate_rad * f64::from(bits) / 65_536.0;
                 let [sine, cosine] = output.map(|x| f64::from(x) / 32_767.0);
-                assert!(
-                    (sine - libm::sin(angle)).abs() < 4e-5,
-                    "pair {pair} at {bits}"
-                );
-                assert!(
-                    (cosine - libm::cos(angle)).abs() < 4e-5,
-                    "pair {pair} at {bits}"
-                );
+                assert!((sine - libm::sin(angle)).abs() < 4e-5, "pair {pair} at {bits}");
+                assert!((cosine - libm::cos(angle)).abs() < 4e-5, "pair {pair} at {bits}");
             }
         }
     }
@@ -103,9 +92,6 @@ mod tests {
 
     #[test]
     fn position_saturates() {
-        assert_eq!(
-            FramePosition::after_us(u32::MAX, u32::MAX).to_bits(),
-            u32::MAX
-        );
+        assert_eq!(FramePosition::after_us(u32::MAX, u32::MAX).to_bits(), u32::MAX);
     }
 }

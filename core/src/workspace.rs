@@ -26,11 +26,7 @@ pub(crate) struct Buffers<'w, Sum, Value> {
 
 impl<Sum, Value, const WIDTH: usize> Scratch<Sum, Value, WIDTH> {
     fn buffers(&mut self) -> Buffers<'_, Sum, Value> {
-        Buffers {
-            folded: &mut self.folded,
-            front: &mut self.front,
-            back: &mut self.back,
-        }
+        Buffers { folded: &mut self.folded, front: &mut self.front, back: &mut self.back }
     }
 }
 
@@ -38,17 +34,9 @@ impl<const WIDTH: usize> Workspace<WIDTH> {
     /// All zeros; `const`, so that it can be a `static`.
     pub const fn new() -> Self {
         Self {
-            integer: Scratch {
-                folded: [0; WIDTH],
-                front: [0; WIDTH],
-                back: [0; WIDTH],
-            },
+            integer: Scratch { folded: [0; WIDTH], front: [0; WIDTH], back: [0; WIDTH] },
             #[cfg(feature = "f16")]
-            half: Scratch {
-                folded: [0.0; WIDTH],
-                front: [0.0; WIDTH],
-                back: [0.0; WIDTH],
-            },
+            half: Scratch { folded: [0.0; WIDTH], front: [0.0; WIDTH], back: [0.0; WIDTH] },
         }
     }
 

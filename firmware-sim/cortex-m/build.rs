@@ -14,9 +14,8 @@ fn main() {
     let what = "run `firmware-sim run model.kara`, which builds this program with its inputs";
     let blob_path = input_path(&variable("KARAKURI_BLOB", what));
     let cases_path = input_path(&variable("KARAKURI_CASES", what));
-    let width: usize = variable("KARAKURI_WIDTH", what)
-        .parse()
-        .expect("KARAKURI_WIDTH is a number");
+    let width: usize =
+        variable("KARAKURI_WIDTH", what).parse().expect("KARAKURI_WIDTH is a number");
     let inputs = format!(
         "/// The blob under test.\n\
          static BLOB: &Aligned<[u8]> = &Aligned(*include_bytes!({blob_path:?}));\n\

@@ -31,11 +31,7 @@ impl Case {
 
     /// The positions, first to last.
     pub fn positions(&self) -> impl Iterator<Item = FramePosition> {
-        let Self {
-            first_bits,
-            step_bits,
-            ..
-        } = *self;
+        let Self { first_bits, step_bits, .. } = *self;
         (0..u32::from(self.pose_count)).map(move |index| {
             FramePosition::from_bits(first_bits.wrapping_add(index.wrapping_mul(step_bits)))
         })
@@ -77,12 +73,7 @@ impl Case {
     /// Reads the stored form back.
     pub fn from_bytes(bytes: &[u8; Self::BYTES]) -> Self {
         let word = |start: usize| {
-            u32::from_le_bytes([
-                bytes[start],
-                bytes[start + 1],
-                bytes[start + 2],
-                bytes[start + 3],
-            ])
+            u32::from_le_bytes([bytes[start], bytes[start + 1], bytes[start + 2], bytes[start + 3]])
         };
         Self {
             action: word(0) as u16,

@@ -10,6 +10,7 @@
 
 use std::collections::HashMap;
 use std::fs;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use karakuri::{GroupKind, Unit};
@@ -55,9 +56,7 @@ impl Matrix {
     /// One row; empty beyond the last.
     pub fn row(&self, index: usize) -> &[f64] {
         let start = index * self.column_count;
-        self.values
-            .get(start..start + self.column_count)
-            .unwrap_or_default()
+        self.values.get(start..start + self.column_count).unwrap_or_default()
     }
 
     /// The rows, first to last.
@@ -131,7 +130,12 @@ impl Checkpoint {
     /// [`Error::Io`], or [`Error::BadInput`] that names the tensor or key that is not as it has to be.
     pub fn read(run: &Path) -> Result<Self> {
         let path = run.join(FILE_NAME);
-        let bytes = fs::read(&path).map_err(Error::io("read", &path))?;
+        let bytes = fs::read(&path).map_err(|error| match error.kind() {
+            ErrorKind::NotFound => {
+                Error::bad_input(run, FILE_NAME, "missing", "a training run", REMEDY)
+            }
+            _ => Error::io("read", &path)(error),
+        })?;
         Source::new(&path, &bytes)?.checkpoint()
     }
 }
@@ -152,11 +156,7 @@ impl<'a> Source<'a> {
         let tensors = SafeTensors::deserialize(bytes).map_err(broken)?;
         let (_, header) = SafeTensors::read_metadata(bytes).map_err(broken)?;
         let metadata = header.metadata().clone().unwrap_or_default();
-        Ok(Self {
-            path,
-            tensors,
-            metadata,
-        })
+        Ok(Self { path, tensors, metadata })
     }
 
     fn checkpoint(&self) -> Result<Checkpoint> {
@@ -196,34 +196,21 @@ impl<'a> Source<'a> {
 
     fn matrix(&self, name: &str) -> Result<Matrix> {
         match self.numbers(name)? {
-            (shape, values) if shape.len() == 2 => Ok(Matrix {
-                column_count: shape[1],
-                values,
-            }),
+            (shape, values) if shape.len() == 2 => Ok(Matrix { column_count: shape[1], values }),
             (shape, _) => Err(self.bad(name, format!("of shape {shape:?}"), "two dimensions")),
         }
     }
 
     /// Shape and values of a tensor of finite f32 or f64.
     fn numbers(&self, name: &str) -> Result<(Vec<usize>, Vec<f64>)> {
-        let tensor = self
-            .tensors
-            .tensor(name)
-            .map_err(|_| self.bad(name, "missing", "a tensor"))?;
+        let tensor =
+            self.tensors.tensor(name).map_err(|_| self.bad(name, "missing", "a tensor"))?;
         let data = tensor.data();
         let values: Vec<f64> = match tensor.dtype() {
-            Dtype::F32 => data
-                .as_chunks()
-                .0
-                .iter()
-                .map(|b| f32::from_le_bytes(*b).into())
-                .collect(),
-            Dtype::F64 => data
-                .as_chunks()
-                .0
-                .iter()
-                .map(|b| f64::from_le_bytes(*b))
-                .collect(),
+            Dtype::F32 => {
+                data.as_chunks().0.iter().map(|b| f32::from_le_bytes(*b).into()).collect()
+            }
+            Dtype::F64 => data.as_chunks().0.iter().map(|b| f64::from_le_bytes(*b)).collect(),
             other => return Err(self.bad(name, format!("{other:?}"), "f32 or f64")),
         };
         match values.iter().position(|value| !value.is_finite()) {
@@ -234,19 +221,9 @@ impl<'a> Source<'a> {
 
     /// Everything that `reference.rs` multiplies must fit together.
     fn check_shapes(&self, checkpoint: &Checkpoint) -> Result<()> {
-        let Checkpoint {
-            dataset,
-            layers,
-            sequence_codes,
-            action_codes,
-            ..
-        } = checkpoint;
-        let channel_count: usize = dataset
-            .layout
-            .groups
-            .iter()
-            .map(|group| group.kind.channel_count())
-            .sum();
+        let Checkpoint { dataset, layers, sequence_codes, action_codes, .. } = checkpoint;
+        let channel_count: usize =
+            dataset.layout.groups.iter().map(|group| group.kind.channel_count()).sum();
         let input_count = sequence_codes.column_count
             + action_codes.column_count
             + 2 * checkpoint.frequencies_rad.len();
@@ -266,29 +243,15 @@ impl<'a> Source<'a> {
         self.check_count("outputs", last, channel_count)?;
         self.check_count("channel means", dataset.mean.len(), channel_count)?;
         self.check_count("channel scales", dataset.scale.len(), channel_count)?;
-        self.check_count(
-            "sequence codes",
-            sequence_codes.rows().len(),
-            dataset.clips.len(),
-        )?;
-        self.check_count(
-            "action codes",
-            action_codes.rows().len(),
-            dataset.actions.len(),
-        )?;
+        self.check_count("sequence codes", sequence_codes.rows().len(), dataset.clips.len())?;
+        self.check_count("action codes", action_codes.rows().len(), dataset.actions.len())?;
         let actions = dataset.clips.iter().map(|clip| clip.action);
-        let known = actions
-            .filter(|&action| action < dataset.actions.len())
-            .count();
+        let known = actions.filter(|&action| action < dataset.actions.len()).count();
         self.check_count("clips of a known action", known, dataset.clips.len())
     }
 
     fn check_count(&self, what: impl ToString, found: usize, expected: usize) -> Result<()> {
-        if found == expected {
-            Ok(())
-        } else {
-            Err(self.bad(what, found, expected))
-        }
+        if found == expected { Ok(()) } else { Err(self.bad(what, found, expected)) }
     }
 
     fn bad(&self, what: impl ToString, value: impl ToString, expected: impl ToString) -> Error {
@@ -313,13 +276,9 @@ mod tests {
     #[test]
     fn run_without_checkpoint_names_the_missing_file() {
         let error = Checkpoint::read(Path::new("no/such/run")).unwrap_err();
-        assert_eq!(error.exit_code(), 4);
-        assert!(
-            error
-                .to_string()
-                .contains("no/such/run/checkpoint.safetensors"),
-            "{error}"
-        );
+        assert_eq!(error.exit_code(), 3);
+        let text = error.to_string();
+        assert!(text.contains("no/such/run: checkpoint.safetensors is missing"), "{text}");
     }
 
     #[test]
@@ -333,10 +292,8 @@ mod tests {
 
     #[test]
     fn safetensors_of_something_else_name_what_is_missing() {
-        let empty = safetensors::serialize(
-            Vec::<(&str, safetensors::tensor::TensorView<'_>)>::new(),
-            None,
-        );
+        let empty =
+            safetensors::serialize(Vec::<(&str, safetensors::tensor::TensorView<'_>)>::new(), None);
         let text = refusal(&empty.unwrap());
         assert!(text.contains("metadata `state`"), "{text}");
     }
@@ -356,9 +313,6 @@ mod tests {
         let checkpoint = Checkpoint::read(run.path()).unwrap();
         assert_eq!(checkpoint.layers.len(), 4);
         assert_eq!(checkpoint.frequencies_rad, [0.25, 0.125, 0.0625, 0.03125]);
-        assert_eq!(
-            checkpoint.sequence_codes.rows().len(),
-            checkpoint.dataset.clips.len()
-        );
+        assert_eq!(checkpoint.sequence_codes.rows().len(), checkpoint.dataset.clips.len());
     }
 }

@@ -14,9 +14,7 @@ const FRACTION_BITS_FIRST: u32 = 0x6a7b;
 pub fn choose_cases(model: &Model<'_>, pose_count_min: usize) -> Vec<Case> {
     let motions: Vec<(u16, u32)> = (0..model.manifest().action_count)
         .flat_map(|action| {
-            lengths(model, ActionId(action))
-                .into_iter()
-                .map(move |frames| (action, frames))
+            lengths(model, ActionId(action)).into_iter().map(move |frames| (action, frames))
         })
         .collect();
     let per_motion = pose_count_min.div_ceil(motions.len().max(1)).max(1);
@@ -29,14 +27,7 @@ pub fn choose_cases(model: &Model<'_>, pose_count_min: usize) -> Vec<Case> {
         .enumerate()
         .map(|(index, ((action, frames), seed))| {
             let (first_bits, step_bits) = positions(frames, pose_count, seed % 2 == 1);
-            Case {
-                action,
-                pose_count,
-                frames,
-                seed: index as u64,
-                first_bits,
-                step_bits,
-            }
+            Case { action, pose_count, frames, seed: index as u64, first_bits, step_bits }
         })
         .collect()
 }
@@ -46,9 +37,7 @@ fn lengths(model: &Model<'_>, action: ActionId) -> Vec<u32> {
     let (min, max) = model.trained_frames(action).into_inner();
     // Intervals of lengths may leave gaps between them.
     let is_trained = |&frames: &u32| model.sample(action, frames, &mut || 0).is_ok();
-    let middle = (min + (max - min) / 2..=max)
-        .find(is_trained)
-        .unwrap_or(max);
+    let middle = (min + (max - min) / 2..=max).find(is_trained).unwrap_or(max);
     let mut lengths = vec![min, middle, max];
     lengths.dedup();
     lengths
@@ -58,11 +47,7 @@ fn lengths(model: &Model<'_>, action: ActionId) -> Vec<u32> {
 fn positions(frames: u32, pose_count: u16, fractional: bool) -> (u32, u32) {
     let span_bits = u64::from(frames.saturating_sub(1)) << 16;
     let step_bits = (span_bits / u64::from(pose_count)) as u32;
-    if fractional {
-        (FRACTION_BITS_FIRST, step_bits)
-    } else {
-        (0, (step_bits >> 16).max(1) << 16)
-    }
+    if fractional { (FRACTION_BITS_FIRST, step_bits) } else { (0, (step_bits >> 16).max(1) << 16) }
 }
 
 #[cfg(test)]
@@ -81,9 +66,7 @@ mod tests {
             assert!(pose_count >= pose_count_min);
             for motion in [(0, 30), (0, 45), (0, 60), (1, 41), (1, 65), (1, 90)] {
                 assert!(
-                    cases
-                        .iter()
-                        .any(|case| (case.action, case.frames) == motion),
+                    cases.iter().any(|case| (case.action, case.frames) == motion),
                     "{motion:?}"
                 );
             }
@@ -94,10 +77,7 @@ mod tests {
             .flat_map(|case| case.positions().map(|position| position.to_bits()))
             .collect();
         let whole = positions.iter().filter(|bits| *bits & 0xffff == 0).count();
-        assert!(
-            whole * 3 > positions.len() && whole * 3 < positions.len() * 2,
-            "{whole}"
-        );
+        assert!(whole * 3 > positions.len() && whole * 3 < positions.len() * 2, "{whole}");
     }
 
     #[test]

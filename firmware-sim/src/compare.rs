@@ -14,9 +14,10 @@ use indicatif::ProgressBar;
 use karakuri::{ActionId, Code, Decoder, FramePosition, Model, Pcg32, Pose};
 use serde::Serialize;
 
+use crate::belonging::check_belonging;
 use crate::checkpoint::Checkpoint;
 use crate::choose_cases::choose_cases;
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::error_table::{ErrorRow, PosePair, Rows, error_rows};
 use crate::host::widest_workspace;
 use crate::reference::Reference;
@@ -103,97 +104,13 @@ pub fn compare(
     })
 }
 
-/// Figures of two different models say nothing, so everything that both files know must be equal.
-fn check_belonging(checkpoint: &Checkpoint, model: &Model<'_>) -> Result<()> {
-    let dataset = &checkpoint.dataset;
-    let blob_groups = model
-        .groups()
-        .map(|group| (group.name, group.kind, group.unit));
-    let run_groups = dataset
-        .layout
-        .groups
-        .iter()
-        .map(|group| (&*group.name, group.kind, group.unit));
-    let facts = [
-        (
-            "actions",
-            model.actions().collect::<Vec<_>>().join(", "),
-            dataset.actions.join(", "),
-        ),
-        (
-            "layout",
-            format!("{:?}", blob_groups.collect::<Vec<_>>()),
-            format!("{:?}", run_groups.collect::<Vec<_>>()),
-        ),
-        ("shape", blob_shape(model), run_shape(checkpoint)),
-        (
-            "config hash",
-            hexadecimal(&model.provenance().config_hash),
-            checkpoint.config_hash.clone(),
-        ),
-    ];
-    match facts.into_iter().find(|(_, blob, run)| blob != run) {
-        None => Ok(()),
-        Some((field, blob, run)) => Err(Error::bad_input(
-            "blob",
-            field,
-            blob,
-            format!("{run}, as in {}", checkpoint.path.display()),
-            "compare a blob with the run that it was quantized from",
-        )),
-    }
-}
-
-/// Numbers of β, α and sinusoids, then the outputs of every layer.
-fn blob_shape(model: &Model<'_>) -> String {
-    let manifest = model.manifest();
-    let outputs = manifest
-        .layers
-        .iter()
-        .skip(1)
-        .map(|layer| usize::from(layer.output_count));
-    shape(
-        manifest.sequence_code_count.into(),
-        manifest.action_code_count.into(),
-        2 * usize::from(manifest.frequency_count),
-        outputs,
-    )
-}
-
-fn run_shape(checkpoint: &Checkpoint) -> String {
-    shape(
-        checkpoint.sequence_codes.column_count,
-        checkpoint.action_codes.column_count,
-        2 * checkpoint.frequencies_rad.len(),
-        checkpoint.layers.iter().map(|layer| layer.bias.len()),
-    )
-}
-
-fn shape(
-    sequence: usize,
-    action: usize,
-    sinusoids: usize,
-    outputs: impl Iterator<Item = usize>,
-) -> String {
-    let outputs: Vec<String> = outputs.map(|count| count.to_string()).collect();
-    format!("{sequence}+{action}+{sinusoids} → {}", outputs.join(" → "))
-}
-
-fn hexadecimal(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
-}
-
 /// Every clip with its mean code.
 fn training_motions(
     checkpoint: &Checkpoint,
     model: &Model<'_>,
     poses_per_clip: usize,
 ) -> Vec<Motion> {
-    let clips = checkpoint
-        .dataset
-        .clips
-        .iter()
-        .zip(checkpoint.sequence_codes.rows());
+    let clips = checkpoint.dataset.clips.iter().zip(checkpoint.sequence_codes.rows());
     clips
         .map(|(clip, sequence_code)| {
             let action_code = checkpoint.action_codes.row(clip.action);
@@ -214,9 +131,7 @@ fn evenly_spaced_frames(frame_count: usize, count: usize) -> Vec<FramePosition> 
     let count = count.min(frame_count);
     let last = frame_count.saturating_sub(1);
     let frame = |index: usize| (index * last / (count - 1).max(1)) as u32;
-    (0..count)
-        .map(|index| FramePosition::from_frames(frame(index)))
-        .collect()
+    (0..count).map(|index| FramePosition::from_frames(frame(index))).collect()
 }
 
 /// The motions of `choose_cases`, with the codes that the device would draw.
@@ -224,9 +139,7 @@ fn drawn_motions(model: &Model<'_>, pose_count: usize) -> Vec<Motion> {
     let motion = |case: &crate::case::Case| {
         let mut rng = Pcg32::new(case.seed);
         let action = ActionId(case.action);
-        let code = model
-            .sample(action, case.frames, &mut || rng.next_u32())
-            .ok()?;
+        let code = model.sample(action, case.frames, &mut || rng.next_u32()).ok()?;
         Some(Motion {
             float_code: model.code_to_f32(&code).map(f64::from).collect(),
             device_code: code,
@@ -234,10 +147,7 @@ fn drawn_motions(model: &Model<'_>, pose_count: usize) -> Vec<Motion> {
             frame_count: case.frames as usize,
         })
     };
-    choose_cases(model, pose_count)
-        .iter()
-        .filter_map(motion)
-        .collect()
+    choose_cases(model, pose_count).iter().filter_map(motion).collect()
 }
 
 /// Decodes every motion on both sides, on all cores of this machine; the order of the result is that of `motions`.
@@ -254,10 +164,7 @@ fn decode_twice(
         let mut decoder = Decoder::new(model, &mut workspace)?;
         while let Some((index, motion)) = take_next(&next, motions) {
             let pairs = motion.decode(&mut decoder, Reference::new(checkpoint));
-            found
-                .lock()
-                .unwrap_or_else(|poisoned| poisoned.into_inner())
-                .push((index, pairs));
+            found.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).push((index, pairs));
             progress.inc(1);
         }
         Ok(())
@@ -265,16 +172,12 @@ fn decode_twice(
     let thread_count = thread::available_parallelism().map_or(1, usize::from);
     thread::scope(|scope| {
         let threads: Vec<_> = (0..thread_count).map(|_| scope.spawn(work)).collect();
-        threads
-            .into_iter()
-            .try_for_each(|thread| match thread.join() {
-                Ok(outcome) => outcome,
-                Err(panic) => std::panic::resume_unwind(panic),
-            })
+        threads.into_iter().try_for_each(|thread| match thread.join() {
+            Ok(outcome) => outcome,
+            Err(panic) => std::panic::resume_unwind(panic),
+        })
     })?;
-    let mut found = found
-        .into_inner()
-        .unwrap_or_else(|poisoned| poisoned.into_inner());
+    let mut found = found.into_inner().unwrap_or_else(|poisoned| poisoned.into_inner());
     found.sort_unstable_by_key(|(index, _)| *index);
     Ok(found.into_iter().flat_map(|(_, pairs)| pairs).collect())
 }
@@ -295,10 +198,7 @@ impl Motion {
         pairs
             .map(|(&position, float)| {
                 decoder.decode(position, &mut pose);
-                PosePair {
-                    device: pose.values().collect(),
-                    float,
-                }
+                PosePair { device: pose.values().collect(), float }
             })
             .collect()
     }
@@ -307,14 +207,12 @@ impl Motion {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::error::Error;
     use crate::fixture::Fixture;
     use karakuri::NumberFormat;
 
-    const OPTIONS: Options = Options {
-        poses_per_clip: 8,
-        draw_pose_count: 64,
-        rows: Rows::PerKind,
-    };
+    const OPTIONS: Options =
+        Options { poses_per_clip: 8, draw_pose_count: 64, rows: Rows::PerKind };
 
     fn compare_fixtures(run: &Fixture, blob: &[u8]) -> Result<Comparison> {
         let checkpoint = Checkpoint::read(run.run().path())?;
@@ -325,33 +223,6 @@ mod tests {
     fn bytes_that_are_no_blob_are_rejected() {
         let error = compare_fixtures(&Fixture::new(1), b"KRKR").unwrap_err();
         assert!(matches!(error, Error::Blob { .. }), "{error}");
-    }
-
-    #[test]
-    fn blob_of_another_training_is_rejected() {
-        let fixture = Fixture::new(1);
-        let blob = fixture.blob(NumberFormat::F16);
-        let mut other = Fixture::new(1);
-        other.config_hash = [1; 32];
-        let error = compare_fixtures(&other, &blob).unwrap_err();
-        assert_eq!(error.exit_code(), 3);
-        assert!(error.to_string().contains("config hash"), "{error}");
-    }
-
-    #[test]
-    fn blob_of_another_shape_is_rejected() {
-        let fixture = Fixture::new(1);
-        let run = fixture.run();
-        let mut checkpoint = Checkpoint::read(run.path()).unwrap();
-        checkpoint.layers.pop();
-        let blob = fixture.blob(NumberFormat::F16);
-        let error = compare(&checkpoint, &blob, OPTIONS, &ProgressBar::hidden()).unwrap_err();
-        assert!(
-            error
-                .to_string()
-                .contains("shape is 3+2+8 → 24 → 16 → 12 → 10"),
-            "{error}"
-        );
     }
 
     #[test]
@@ -366,10 +237,7 @@ mod tests {
     fn frames_of_a_clip_are_spread_from_first_to_last() {
         let frames = |frame_count, count| -> Vec<u32> {
             let positions = evenly_spaced_frames(frame_count, count);
-            positions
-                .iter()
-                .map(|position| position.to_bits() >> 16)
-                .collect()
+            positions.iter().map(|position| position.to_bits() >> 16).collect()
         };
         assert!(frames(0, 4).is_empty());
         assert_eq!(frames(1, 4), [0]);
@@ -381,19 +249,14 @@ mod tests {
     #[test]
     fn errors_of_every_format_stay_within_its_resolution() {
         let fixture = Fixture::new(1);
-        for (format, signal_to_noise_db_min) in [
-            (NumberFormat::F16, 80.0),
-            (NumberFormat::W8A16, 60.0),
-            (NumberFormat::W8A8, 15.0),
-        ] {
+        for (format, signal_to_noise_db_min) in
+            [(NumberFormat::F16, 80.0), (NumberFormat::W8A16, 60.0), (NumberFormat::W8A8, 15.0)]
+        {
             let comparison = compare_fixtures(&fixture, &fixture.blob(format)).unwrap();
             for table in [&comparison.training_clips, &comparison.mixture_draws] {
                 for row in &table.rows {
                     println!("{row:?}");
-                    assert!(
-                        row.signal_to_noise_db.unwrap() > signal_to_noise_db_min,
-                        "{row:?}"
-                    );
+                    assert!(row.signal_to_noise_db.unwrap() > signal_to_noise_db_min, "{row:?}");
                 }
             }
         }

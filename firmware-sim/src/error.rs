@@ -72,10 +72,7 @@ pub enum Error {
 
 impl From<karakuri::BlobError> for Error {
     fn from(reason: karakuri::BlobError) -> Self {
-        Self::Blob {
-            file: "blob".to_owned(),
-            reason,
-        }
+        Self::Blob { file: "blob".to_owned(), reason }
     }
 }
 
@@ -103,20 +100,13 @@ impl Error {
         path: impl Into<PathBuf>,
     ) -> impl FnOnce(std::io::Error) -> Self {
         let path = path.into();
-        move |source| Self::Io {
-            path,
-            action,
-            source,
-        }
+        move |source| Self::Io { path, action, source }
     }
 
     /// Says of which file an error of bytes speaks.
     pub fn in_file(self, path: &Path) -> Self {
         match self {
-            Self::Blob { reason, .. } => Self::Blob {
-                file: path.display().to_string(),
-                reason,
-            },
+            Self::Blob { reason, .. } => Self::Blob { file: path.display().to_string(), reason },
             other => other,
         }
     }

@@ -66,20 +66,13 @@ pub fn error_rows(groups: &[Group], pairs: &[PosePair], rows: Rows) -> Vec<Error
             Rows::PerKind => group.kind.name(),
             Rows::PerGroup => &group.name,
         };
-        let member = Member {
-            kind: group.kind,
-            channels,
-            factor,
-        };
+        let member = Member { kind: group.kind, channels, factor };
         match found.iter_mut().find(|row| row.0 == name && row.1 == unit) {
             Some(row) => row.2.push(member),
             None => found.push((name.to_owned(), unit, vec![member])),
         }
     }
-    found
-        .into_iter()
-        .map(|(name, unit, members)| error_row(name, unit, &members, pairs))
-        .collect()
+    found.into_iter().map(|(name, unit, members)| error_row(name, unit, &members, pairs)).collect()
 }
 
 /// One group as part of a row.
@@ -93,21 +86,15 @@ struct Member {
 impl Member {
     /// Error of one pose, in the visible unit.
     fn error(&self, pair: &PosePair) -> f64 {
-        let (device, float) = (
-            &pair.device[self.channels.clone()],
-            &pair.float[self.channels.clone()],
-        );
+        let (device, float) =
+            (&pair.device[self.channels.clone()], &pair.float[self.channels.clone()]);
         if self.kind == GroupKind::Rotation6d {
             let angle = device.try_into().ok().zip(float.try_into().ok());
             return angle
                 .and_then(|(device, float)| angle_between_deg(device, float))
                 .unwrap_or(NO_ROTATION_DEG);
         }
-        let square: f64 = device
-            .iter()
-            .zip(float)
-            .map(|(d, f)| (d - f) * (d - f))
-            .sum();
+        let square: f64 = device.iter().zip(float).map(|(d, f)| (d - f) * (d - f)).sum();
         square.sqrt() * self.factor
     }
 
@@ -118,18 +105,11 @@ impl Member {
             let values = || pairs.iter().map(move |pair| pair.float[channel]);
             let mean = values().sum::<f64>() / pairs.len().max(1) as f64;
             let deviations = values().map(|value| value - mean);
-            signal += deviations
-                .map(|deviation| deviation * deviation)
-                .sum::<f64>();
-            let errors = pairs
-                .iter()
-                .map(|pair| pair.device[channel] - pair.float[channel]);
+            signal += deviations.map(|deviation| deviation * deviation).sum::<f64>();
+            let errors = pairs.iter().map(|pair| pair.device[channel] - pair.float[channel]);
             noise += errors.map(|error| error * error).sum::<f64>();
         }
-        (
-            signal * self.factor * self.factor,
-            noise * self.factor * self.factor,
-        )
+        (signal * self.factor * self.factor, noise * self.factor * self.factor)
     }
 }
 
@@ -145,9 +125,8 @@ fn error_row(
     let mean_square =
         errors.iter().map(|error| error * error).sum::<f64>() / errors.len().max(1) as f64;
     let powers = members.iter().map(|member| member.powers(pairs));
-    let (signal, noise) = powers.fold((0.0, 0.0), |sums, powers| {
-        (sums.0 + powers.0, sums.1 + powers.1)
-    });
+    let (signal, noise) =
+        powers.fold((0.0, 0.0), |sums, powers| (sums.0 + powers.0, sums.1 + powers.1));
     ErrorRow {
         group,
         channel_count: members.iter().map(|member| member.channels.len()).sum(),
@@ -162,10 +141,7 @@ fn error_row(
 /// The smallest of the sorted values that is not less than this share of them; 0 of none.
 fn percentile(sorted: &[f64], share: f64) -> f64 {
     let rank = (sorted.len() as f64 * share).ceil() as usize;
-    sorted
-        .get(rank.saturating_sub(1))
-        .copied()
-        .unwrap_or_default()
+    sorted.get(rank.saturating_sub(1)).copied().unwrap_or_default()
 }
 
 /// The unit in which an error is shown, and how many of it a channel unit is.
@@ -186,24 +162,13 @@ mod tests {
     use super::*;
 
     fn group(name: &str, kind: GroupKind, unit: Unit) -> Group {
-        Group {
-            name: name.to_owned(),
-            kind,
-            unit,
-        }
+        Group { name: name.to_owned(), kind, unit }
     }
 
     #[test]
     fn no_poses_give_rows_of_zeros() {
-        let rows = error_rows(
-            &[group("a", GroupKind::Scalar, Unit::Degree)],
-            &[],
-            Rows::PerKind,
-        );
-        assert_eq!(
-            (rows[0].rms, rows[0].max, rows[0].signal_to_noise_db),
-            (0.0, 0.0, None)
-        );
+        let rows = error_rows(&[group("a", GroupKind::Scalar, Unit::Degree)], &[], Rows::PerKind);
+        assert_eq!((rows[0].rms, rows[0].max, rows[0].signal_to_noise_db), (0.0, 0.0, None));
     }
 
     #[test]
@@ -216,10 +181,8 @@ mod tests {
         let float = vec![0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0];
         let device = vec![0.1, 0.003, 0.0, 0.004, 0.0, -1.0, 0.0, 1.0, 0.0, 0.0];
         let rows = error_rows(&groups, &[PosePair { device, float }], Rows::PerKind);
-        let found: Vec<_> = rows
-            .iter()
-            .map(|row| (row.group.as_str(), row.unit, row.max))
-            .collect();
+        let found: Vec<_> =
+            rows.iter().map(|row| (row.group.as_str(), row.unit, row.max)).collect();
         let expected = [
             ("scalar", "deg", 0.1_f64.to_degrees()),
             ("position", "mm", 5.0),
@@ -227,10 +190,7 @@ mod tests {
         ];
         for (found, expected) in found.iter().zip(expected) {
             assert_eq!((found.0, found.1), (expected.0, expected.1));
-            assert!(
-                (found.2 - expected.2).abs() < 1e-6,
-                "{found:?} instead of {expected:?}"
-            );
+            assert!((found.2 - expected.2).abs() < 1e-6, "{found:?} instead of {expected:?}");
         }
     }
 
@@ -244,24 +204,15 @@ mod tests {
         let channels =
             |rows: Vec<ErrorRow>| rows.iter().map(|row| row.channel_count).collect::<Vec<_>>();
         assert_eq!(channels(error_rows(&groups, &[], Rows::PerKind)), [2, 1]);
-        assert_eq!(
-            channels(error_rows(&groups, &[], Rows::PerGroup)),
-            [1, 1, 1]
-        );
+        assert_eq!(channels(error_rows(&groups, &[], Rows::PerGroup)), [1, 1, 1]);
     }
 
     #[test]
     fn signal_to_noise_of_a_tenth_is_twenty_decibels() {
-        let pair = |float: f64, error: f64| PosePair {
-            device: vec![float + error],
-            float: vec![float],
-        };
+        let pair =
+            |float: f64, error: f64| PosePair { device: vec![float + error], float: vec![float] };
         let pairs = [pair(-1.0, 0.1), pair(1.0, -0.1)];
-        let rows = error_rows(
-            &[group("a", GroupKind::Scalar, Unit::One)],
-            &pairs,
-            Rows::PerKind,
-        );
+        let rows = error_rows(&[group("a", GroupKind::Scalar, Unit::One)], &pairs, Rows::PerKind);
         assert!((rows[0].signal_to_noise_db.unwrap() - 20.0).abs() < 1e-9);
         assert!((rows[0].rms - 0.1).abs() < 1e-12);
     }

@@ -55,11 +55,7 @@ impl Firmware {
         let cases: Vec<u8> = cases.iter().flat_map(Case::to_bytes).collect();
         let cases_path = store(folder.join("cases.bin"), &cases)?;
         // Without the feature the workspace has no room for floats, as in a product with an integer model.
-        let features = if model.number_format() == NumberFormat::F16 {
-            "f16"
-        } else {
-            ""
-        };
+        let features = if model.number_format() == NumberFormat::F16 { "f16" } else { "" };
         let output = toolchain
             .build_command()
             .args(["--bin", PROGRAM, "--features", features, "--target-dir"])
@@ -73,15 +69,10 @@ impl Firmware {
             .map_err(Error::io("start cargo in", source))?;
         if !output.status.success() {
             let log = last_lines(&String::from_utf8_lossy(&output.stderr));
-            return Err(Error::Build {
-                target: target.name(),
-                log,
-            });
+            return Err(Error::Build { target: target.name(), log });
         }
         let built = folder.join(target.triple()).join("release").join(PROGRAM);
-        Ok(Self {
-            elf: copy_away(&built)?,
-        })
+        Ok(Self { elf: copy_away(&built)? })
     }
 
     /// The ELF file.

@@ -62,30 +62,19 @@ impl Fixture {
         let mut inputs = SEQUENCE + ACTION + 2 * PAIRS;
         let layers = WIDTHS.map(|outputs| {
             let weights = (0..outputs * inputs).map(|_| small(24) as i8).collect();
-            let bias = (0..outputs)
-                .map(|_| f64::from(small(32)) * WEIGHT_UNIT)
-                .collect();
-            let layer = Layer {
-                input_count: inputs,
-                weights,
-                bias,
-            };
+            let bias = (0..outputs).map(|_| f64::from(small(32)) * WEIGHT_UNIT).collect();
+            let layer = Layer { input_count: inputs, weights, bias };
             inputs = outputs;
             layer
         });
-        let mut codes = |count: usize| {
-            (0..count)
-                .map(|_| f64::from(small(64)) * WEIGHT_UNIT)
-                .collect()
-        };
+        let mut codes =
+            |count: usize| (0..count).map(|_| f64::from(small(64)) * WEIGHT_UNIT).collect();
         Self {
             layers: layers.into(),
             sequence_codes: codes(CLIP_FRAMES.len() * SEQUENCE),
             action_codes: codes(ACTIONS.len() * ACTION),
             mean: (0..WIDTHS[3]).map(|channel| channel as f64).collect(),
-            scale: (0..WIDTHS[3])
-                .map(|channel| 0.5 + channel as f64 / 8.0)
-                .collect(),
+            scale: (0..WIDTHS[3]).map(|channel| 0.5 + channel as f64 / 8.0).collect(),
             config_hash: [0xa5; 32],
         }
     }
@@ -97,11 +86,7 @@ impl Fixture {
     /// A run folder as `host-trainer` writes it.
     pub fn run(&self) -> TempDir {
         let folder = tempfile::tempdir().unwrap();
-        fs::write(
-            folder.path().join("checkpoint.safetensors"),
-            self.checkpoint(),
-        )
-        .unwrap();
+        fs::write(folder.path().join("checkpoint.safetensors"), self.checkpoint()).unwrap();
         folder
     }
 
@@ -109,15 +94,10 @@ impl Fixture {
     pub fn checkpoint(&self) -> Vec<u8> {
         let mut tensors: Vec<(String, Dtype, Vec<usize>, Vec<u8>)> = Vec::new();
         let f32s = |values: &mut dyn Iterator<Item = f64>| {
-            values
-                .flat_map(|value| (value as f32).to_le_bytes())
-                .collect()
+            values.flat_map(|value| (value as f32).to_le_bytes()).collect()
         };
         for (index, layer) in self.layers.iter().enumerate() {
-            let mut weights = layer
-                .weights
-                .iter()
-                .map(|&weight| f64::from(weight) * WEIGHT_UNIT);
+            let mut weights = layer.weights.iter().map(|&weight| f64::from(weight) * WEIGHT_UNIT);
             let shape = vec![layer.bias.len(), layer.input_count];
             tensors.push((
                 format!("decoder.{index}.weight"),
@@ -135,22 +115,12 @@ impl Fixture {
         }
         let mut codes = |name: &str, values: &[f64], columns: usize| {
             let shape = vec![values.len() / columns, columns];
-            tensors.push((
-                name.to_owned(),
-                Dtype::F32,
-                shape,
-                f32s(&mut values.iter().copied()),
-            ));
+            tensors.push((name.to_owned(), Dtype::F32, shape, f32s(&mut values.iter().copied())));
         };
         codes("sequence_code.mean", &self.sequence_codes, SEQUENCE);
         codes("action_code.mean", &self.action_codes, ACTION);
         let frequencies = Self::frequencies_rad().flat_map(f64::to_le_bytes).collect();
-        tensors.push((
-            "frequencies_rad".to_owned(),
-            Dtype::F64,
-            vec![PAIRS],
-            frequencies,
-        ));
+        tensors.push(("frequencies_rad".to_owned(), Dtype::F64, vec![PAIRS], frequencies));
         let views = tensors.iter().map(|(name, dtype, shape, data)| {
             (name, TensorView::new(*dtype, shape.clone(), data).unwrap())
         });
@@ -168,11 +138,7 @@ impl Fixture {
             "clips": CLIP_FRAMES.iter().enumerate().map(clip).collect::<Vec<_>>(),
             "mean": self.mean, "scale": self.scale,
         });
-        let hash: String = self
-            .config_hash
-            .iter()
-            .map(|byte| format!("{byte:02x}"))
-            .collect();
+        let hash: String = self.config_hash.iter().map(|byte| format!("{byte:02x}")).collect();
         let state = serde_json::json!({"config_hash": hash, "step": 7});
         [("dataset", dataset), ("state", state)]
             .map(|(key, value)| (key.to_owned(), value.to_string()))
@@ -208,17 +174,12 @@ impl Fixture {
             layer_tensors(&mut tensors, index, layer, format);
         }
         let manifest = Manifest {
-            provenance: Provenance {
-                config_hash: self.config_hash,
-                seed: 1,
-            },
+            provenance: Provenance { config_hash: self.config_hash, seed: 1 },
             ..manifest(format, &layers)
         };
         let groups = GROUPS.map(|(name, kind, unit)| Group { name, kind, unit });
-        let tensors: Vec<_> = tensors
-            .iter()
-            .map(|(kind, bytes)| (*kind, bytes.as_slice()))
-            .collect();
+        let tensors: Vec<_> =
+            tensors.iter().map(|(kind, bytes)| (*kind, bytes.as_slice())).collect();
         let parts = BlobParts {
             manifest: &manifest,
             groups: &groups,
@@ -238,13 +199,8 @@ impl Fixture {
         let code_count = SEQUENCE + ACTION;
         let first = &self.layers[0];
         let whole = |layer: &'_ Layer| (0, layer.input_count);
-        let halves = [
-            (first, (0, code_count), true),
-            (first, (code_count, 2 * PAIRS), false),
-        ];
-        let rest = self.layers[1..]
-            .iter()
-            .map(|layer| (layer, whole(layer), true));
+        let halves = [(first, (0, code_count), true), (first, (code_count, 2 * PAIRS), false)];
+        let rest = self.layers[1..].iter().map(|layer| (layer, whole(layer), true));
         let last = self.layers.len();
         halves
             .into_iter()
@@ -257,16 +213,8 @@ impl Fixture {
                     start,
                     input_count,
                     has_bias,
-                    scale: if is_last {
-                        self.scale.clone()
-                    } else {
-                        vec![1.0; rows(layer)]
-                    },
-                    mean: if is_last {
-                        self.mean.clone()
-                    } else {
-                        vec![0.0; rows(layer)]
-                    },
+                    scale: if is_last { self.scale.clone() } else { vec![1.0; rows(layer)] },
+                    mean: if is_last { self.mean.clone() } else { vec![0.0; rows(layer)] },
                     is_last,
                 }
             })
@@ -282,60 +230,31 @@ impl Fixture {
         let component = |value: &f64| (value / WEIGHT_UNIT) as i8 as u8;
         let step = (WEIGHT_UNIT * f64::from(1 << (CODE_FRACTION_BITS + 8))) as i32;
         let interval = |(action, frames): (usize, &[usize])| {
-            let halves = [
-                action,
-                frames[0].min(frames[1]),
-                frames[0].max(frames[1]),
-                40,
-            ];
+            let halves = [action, frames[0].min(frames[1]), frames[0].max(frames[1]), 1 << 12];
             let words = [2 * action as u32, 2];
-            let halves = halves
-                .into_iter()
-                .flat_map(|half| (half as u16).to_le_bytes());
-            halves
-                .chain(words.into_iter().flat_map(u32::to_le_bytes))
-                .collect::<Vec<_>>()
+            let halves = halves.into_iter().flat_map(|half| (half as u16).to_le_bytes());
+            halves.chain(words.into_iter().flat_map(u32::to_le_bytes)).collect::<Vec<_>>()
         };
         vec![
             (
                 TensorKind::Frequencies,
-                Self::frequencies_rad()
-                    .flat_map(|f| turns(f).to_le_bytes())
-                    .collect(),
+                Self::frequencies_rad().flat_map(|f| turns(f).to_le_bytes()).collect(),
             ),
             (
                 TensorKind::ActionCodes,
-                self.action_codes
-                    .iter()
-                    .flat_map(|v| code(v).to_le_bytes())
-                    .collect(),
+                self.action_codes.iter().flat_map(|v| code(v).to_le_bytes()).collect(),
             ),
-            (
-                TensorKind::Components,
-                self.sequence_codes.iter().map(component).collect(),
-            ),
+            (TensorKind::Components, self.sequence_codes.iter().map(component).collect()),
+            (TensorKind::DeviationSteps, [40 << 8; SEQUENCE].map(i32::to_le_bytes).concat()),
             (
                 TensorKind::ComponentSteps,
-                [step; SEQUENCE]
-                    .into_iter()
-                    .flat_map(i32::to_le_bytes)
-                    .collect(),
+                [step; SEQUENCE].into_iter().flat_map(i32::to_le_bytes).collect(),
             ),
             (
                 TensorKind::Members,
-                (0..4u16)
-                    .flat_map(|clip| [clip, u16::MAX])
-                    .flat_map(u16::to_le_bytes)
-                    .collect(),
+                (0..4u16).flat_map(|clip| [clip, u16::MAX]).flat_map(u16::to_le_bytes).collect(),
             ),
-            (
-                TensorKind::Intervals,
-                CLIP_FRAMES
-                    .chunks(2)
-                    .enumerate()
-                    .flat_map(interval)
-                    .collect(),
-            ),
+            (TensorKind::Intervals, CLIP_FRAMES.chunks(2).enumerate().flat_map(interval).collect()),
         ]
     }
 }
@@ -366,11 +285,7 @@ fn layer_tensors(
         _ => (units.activation, 1.0 / 65_536.0),
     };
     let accumulator_unit = WEIGHT_UNIT * input_unit;
-    let zero_point = f64::from(if index > 1 {
-        activation(format).zero_point
-    } else {
-        0
-    });
+    let zero_point = f64::from(if index > 1 { activation(format).zero_point } else { 0 });
     let (mut weights, mut bias) = (Vec::new(), Vec::new());
     let (mut multipliers, mut shifts) = (Vec::new(), Vec::new());
     let rows = device.layer.weights.chunks_exact(device.layer.input_count);
@@ -404,10 +319,7 @@ fn layer_tensors(
 /// `factor = multiplier / 2^31 · 2^shift` with the multiplier in 2^30..2^31.
 fn requantizer(factor: f64) -> (i32, i8) {
     let shift = factor.log2().floor() as i32 + 1;
-    (
-        (factor * 2.0_f64.powi(31 - shift)).round() as i32,
-        shift as i8,
-    )
+    ((factor * 2.0_f64.powi(31 - shift)).round() as i32, shift as i8)
 }
 
 fn activation(format: NumberFormat) -> ActivationScale {
@@ -415,11 +327,7 @@ fn activation(format: NumberFormat) -> ActivationScale {
         return ActivationScale::default();
     }
     let (multiplier, shift) = requantizer(1.0 / 65_536.0 / Units::of(format).activation);
-    ActivationScale {
-        multiplier,
-        shift,
-        zero_point: 0,
-    }
+    ActivationScale { multiplier, shift, zero_point: 0 }
 }
 
 fn shape(index: usize, device: &DeviceLayer<'_>, format: NumberFormat) -> LayerShape {
@@ -427,11 +335,7 @@ fn shape(index: usize, device: &DeviceLayer<'_>, format: NumberFormat) -> LayerS
     LayerShape {
         input_count: device.input_count as u16,
         output_count: device.layer.bias.len() as u16,
-        activation: if has_activation {
-            activation(format)
-        } else {
-            ActivationScale::default()
-        },
+        activation: if has_activation { activation(format) } else { ActivationScale::default() },
     }
 }
 
@@ -456,9 +360,6 @@ fn manifest(format: NumberFormat, layers: &[LayerShape]) -> Manifest<'static> {
             interval_count: ACTIONS.len() as u16,
             step_max_q16: 1 << 14,
         },
-        provenance: Provenance {
-            config_hash: [0; 32],
-            seed: 0,
-        },
+        provenance: Provenance { config_hash: [0; 32], seed: 0 },
     }
 }

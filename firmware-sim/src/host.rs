@@ -23,10 +23,8 @@ pub fn decode_cases(model: &Model<'_>, cases: &[Case]) -> Result<Vec<Vec<i32>>> 
     let mut decoder = Decoder::new(model, &mut workspace)?;
     let mut poses = Vec::new();
     for case in cases {
-        case.decode(model, &mut decoder, |pose| {
-            poses.push(pose.channels().to_vec())
-        })
-        .map_err(|error| unknown_motion(case, error))?;
+        case.decode(model, &mut decoder, |pose| poses.push(pose.channels().to_vec()))
+            .map_err(|error| unknown_motion(case, error))?;
     }
     Ok(poses)
 }
@@ -34,11 +32,5 @@ pub fn decode_cases(model: &Model<'_>, cases: &[Case]) -> Result<Vec<Vec<i32>>> 
 fn unknown_motion(case: &Case, error: SampleError) -> Error {
     let motion = format!("action {}, {} frames", case.action, case.frames);
     let remedy = "choose cases for this very model";
-    Error::bad_input(
-        "blob",
-        "case",
-        motion,
-        format!("a trained motion ({error})"),
-        remedy,
-    )
+    Error::bad_input("blob", "case", motion, format!("a trained motion ({error})"), remedy)
 }

@@ -122,10 +122,7 @@ pub fn run_parity(
     let model = Model::from_bytes(blob)?;
     let cases = choose_cases(&model, pose_count_min);
     let host = decode_cases(&model, &cases)?;
-    let qemu = Qemu {
-        program: qemu::PROGRAM,
-        time_limit: TIME_LIMIT,
-    };
+    let qemu = Qemu { program: qemu::PROGRAM, time_limit: TIME_LIMIT };
     qemu.check_installed()?;
     progress.set_message(format!("building for {}", target.name()));
     let firmware = Firmware::build(blob, &cases, target)?;
@@ -173,26 +170,16 @@ fn run_on_device(
 
 /// A program that prints too little must not pass as one without differences.
 fn check_complete(transcript: &Transcript, host: &[Vec<i32>]) -> Result<Ram> {
-    let incomplete = |log: String| Error::Firmware {
-        reason: "incomplete output".into(),
-        log,
-    };
+    let incomplete = |log: String| Error::Firmware { reason: "incomplete output".into(), log };
     if transcript.poses.len() != host.len() {
         let found = transcript.poses.len();
-        return Err(incomplete(format!(
-            "{found} poses, expected {}",
-            host.len()
-        )));
+        return Err(incomplete(format!("{found} poses, expected {}", host.len())));
     }
     let mut pairs = host.iter().zip(&transcript.poses);
     if let Some(index) = pairs.position(|(host, device)| host.len() != device.len()) {
-        return Err(incomplete(format!(
-            "pose {index} has another number of channels"
-        )));
+        return Err(incomplete(format!("pose {index} has another number of channels")));
     }
-    transcript
-        .ram
-        .ok_or_else(|| incomplete("no line `ram`".into()))
+    transcript.ram.ok_or_else(|| incomplete("no line `ram`".into()))
 }
 
 /// Both lists have the same shape: `check_complete`.
@@ -205,12 +192,7 @@ fn compare_bits(host: &[Vec<i32>], device: &[Vec<i32>]) -> Differences {
             let bits = (host ^ device).count_ones();
             differences.bits_differing += u64::from(bits);
             if bits != 0 {
-                let first = Difference {
-                    pose,
-                    channel,
-                    host,
-                    device,
-                };
+                let first = Difference { pose, channel, host, device };
                 differences.first.get_or_insert(first);
             }
         }
@@ -224,9 +206,8 @@ fn tolerance_used(host: &[Vec<i32>], device: &[Vec<i32>]) -> f64 {
     let share = |channel: usize| {
         let values = || host.iter().map(|pose| f64::from(pose[channel]));
         let travel = values().fold(f64::MIN, f64::max) - values().fold(f64::MAX, f64::min);
-        let differences = values()
-            .zip(device)
-            .map(|(a, pose)| (a - f64::from(pose[channel])).abs());
+        let differences =
+            values().zip(device).map(|(a, pose)| (a - f64::from(pose[channel])).abs());
         differences.fold(0.0, f64::max) / (F16_TOLERANCE * travel).max(F16_TOLERANCE_LSB)
     };
     (0..channel_count).map(share).fold(0.0, f64::max)
@@ -248,28 +229,19 @@ mod tests {
 
     #[test]
     fn too_few_poses_are_an_error_not_a_pass() {
-        let transcript = Transcript {
-            poses: vec![vec![1]],
-            ram: Some(Ram::default()),
-        };
+        let transcript = Transcript { poses: vec![vec![1]], ram: Some(Ram::default()) };
         assert!(check_complete(&transcript, &[vec![1], vec![2]]).is_err());
     }
 
     #[test]
     fn pose_with_a_channel_less_is_an_error() {
-        let transcript = Transcript {
-            poses: vec![vec![1]],
-            ram: Some(Ram::default()),
-        };
+        let transcript = Transcript { poses: vec![vec![1]], ram: Some(Ram::default()) };
         assert!(check_complete(&transcript, &[vec![1, 2]]).is_err());
     }
 
     #[test]
     fn output_without_its_last_line_is_an_error() {
-        let transcript = Transcript {
-            poses: vec![vec![1]],
-            ram: None,
-        };
+        let transcript = Transcript { poses: vec![vec![1]], ram: None };
         assert!(check_complete(&transcript, &[vec![1]]).is_err());
     }
 
@@ -278,12 +250,7 @@ mod tests {
         let host = vec![vec![0, 0], vec![5, 0x1000]];
         let device = vec![vec![0, 0], vec![5, 0x1001]];
         let found = compare_bits(&host, &device);
-        let first = Difference {
-            pose: 1,
-            channel: 1,
-            host: 0x1000,
-            device: 0x1001,
-        };
+        let first = Difference { pose: 1, channel: 1, host: 0x1000, device: 0x1001 };
         let expected = Differences {
             bits_compared: 128,
             bits_differing: 1,

@@ -80,11 +80,7 @@ struct Guest(Child);
 impl Guest {
     /// Forwards its output until it ends, well and in time.
     fn watch(mut self, time_limit: Duration, mut on_line: impl FnMut(&str)) -> Result<()> {
-        let errors = self
-            .0
-            .stderr
-            .take()
-            .map(|stream| thread::spawn(move || read_all(stream)));
+        let errors = self.0.stderr.take().map(|stream| thread::spawn(move || read_all(stream)));
         let lines = self.0.stdout.take().map(spawn_reader);
         let deadline = Instant::now() + time_limit;
         let mut log = Vec::new();
@@ -96,23 +92,15 @@ impl Guest {
         });
         if !in_time {
             let reason = format!("no end after {} s", time_limit.as_secs());
-            return Err(Error::Firmware {
-                reason,
-                log: log.join("\n"),
-            });
+            return Err(Error::Firmware { reason, log: log.join("\n") });
         }
         let status = self.0.wait().map_err(Error::io("wait for", PROGRAM))?;
         if status.success() {
             return Ok(());
         }
-        let errors = errors
-            .and_then(|thread| thread.join().ok())
-            .unwrap_or_default();
+        let errors = errors.and_then(|thread| thread.join().ok()).unwrap_or_default();
         errors.lines().for_each(|line| remember(&mut log, line));
-        Err(Error::Firmware {
-            reason: status.to_string(),
-            log: log.join("\n"),
-        })
+        Err(Error::Firmware { reason: status.to_string(), log: log.join("\n") })
     }
 }
 
@@ -166,35 +154,24 @@ fn remember(log: &mut Vec<String>, line: &str) {
 mod tests {
     use super::*;
 
-    const ABSENT: Qemu<'_> = Qemu {
-        program: "qemu-system-arm-that-nobody-installed",
-        time_limit: Duration::ZERO,
-    };
+    const ABSENT: Qemu<'_> =
+        Qemu { program: "qemu-system-arm-that-nobody-installed", time_limit: Duration::ZERO };
 
     #[test]
     fn missing_qemu_names_the_package_to_install() {
-        for outcome in [
-            ABSENT.check_installed(),
-            ABSENT.run(Path::new("x"), Target::CortexM4, |_| ()),
-        ] {
+        for outcome in
+            [ABSENT.check_installed(), ABSENT.run(Path::new("x"), Target::CortexM4, |_| ())]
+        {
             let error = outcome.unwrap_err();
             assert!(error.is_missing_tool());
-            assert!(
-                error
-                    .to_string()
-                    .contains("apt-get install -y qemu-system-arm"),
-                "{error}"
-            );
+            assert!(error.to_string().contains("apt-get install -y qemu-system-arm"), "{error}");
         }
     }
 
     /// Any program will do to watch.
     fn watch(script: &str, time_limit: Duration) -> Result<Vec<String>> {
         let mut command = Command::new("sh");
-        command
-            .args(["-c", script])
-            .stdout(Stdio::piped())
-            .stderr(Stdio::piped());
+        command.args(["-c", script]).stdout(Stdio::piped()).stderr(Stdio::piped());
         let mut lines = Vec::new();
         let on_line = |line: &str| lines.push(line.to_owned());
         Guest(command.spawn().unwrap()).watch(time_limit, on_line)?;
@@ -212,9 +189,7 @@ mod tests {
     #[test]
     fn failed_run_shows_exit_code_and_what_was_said_last() {
         let script = "echo error blob; echo panicked >&2; exit 101";
-        let error = watch(script, Duration::from_secs(60))
-            .unwrap_err()
-            .to_string();
+        let error = watch(script, Duration::from_secs(60)).unwrap_err().to_string();
         for part in ["101", "error blob", "panicked"] {
             assert!(error.contains(part), "{error}");
         }

@@ -34,32 +34,21 @@ impl<'a> Reference<'a> {
             return Vec::new();
         };
         let folded = fold(first, code);
-        let embeddings: Vec<_> = positions
-            .iter()
-            .map(|&position| self.embed(position))
-            .collect();
+        let embeddings: Vec<_> = positions.iter().map(|&position| self.embed(position)).collect();
         let time_rows = first.weights.rows().map(|row| &row[code.len()..]);
         let mut activations = multiply(time_rows, &folded, &embeddings);
         for layer in rest {
             activations.iter_mut().flatten().for_each(elu);
             activations = multiply(layer.weights.rows(), &layer.bias, &activations);
         }
-        activations
-            .iter_mut()
-            .for_each(|pose| self.to_channel_units(pose));
+        activations.iter_mut().for_each(|pose| self.to_channel_units(pose));
         activations
     }
 
     /// τ(t) = [sin(w_0 t), cos(w_0 t), sin(w_1 t), …].
     fn embed(&self, position: f64) -> Vec<f64> {
-        let angles = self
-            .checkpoint
-            .frequencies_rad
-            .iter()
-            .map(|frequency| frequency * position);
-        angles
-            .flat_map(|angle| [angle.sin(), angle.cos()])
-            .collect()
+        let angles = self.checkpoint.frequencies_rad.iter().map(|frequency| frequency * position);
+        angles.flat_map(|angle| [angle.sin(), angle.cos()]).collect()
     }
 
     fn to_channel_units(self, pose: &mut [f64]) {
@@ -73,8 +62,7 @@ impl<'a> Reference<'a> {
 /// Bias plus the code's share of layer 1. // (out)
 fn fold(layer: &DenseLayer, code: &[f64]) -> Vec<f64> {
     let rows = layer.weights.rows().zip(&layer.bias);
-    rows.map(|(row, bias)| bias + dot(&row[..code.len()], code))
-        .collect()
+    rows.map(|(row, bias)| bias + dot(&row[..code.len()], code)).collect()
 }
 
 /// `row · input + start` for every input and row. // (input, out)
@@ -102,11 +90,7 @@ fn dot(left: &[f64], right: &[f64]) -> f64 {
             sums[lane] += left[lane] * right[lane];
         }
     }
-    let rest: f64 = left_rest
-        .iter()
-        .zip(right_rest)
-        .map(|(left, right)| left * right)
-        .sum();
+    let rest: f64 = left_rest.iter().zip(right_rest).map(|(left, right)| left * right).sum();
     sums.iter().sum::<f64>() + rest
 }
 

@@ -17,12 +17,8 @@ type Row = [f64; 3];
 pub fn angle_between_deg(left: &[f64; 6], right: &[f64; 6]) -> Option<f64> {
     let (left, right) = (orthonormal_rows(left)?, orthonormal_rows(right)?);
     // The Frobenius norm of L − R is 2·√2·|sin(angle / 2)|.
-    let square: f64 = left
-        .iter()
-        .flatten()
-        .zip(right.iter().flatten())
-        .map(|(l, r)| (l - r) * (l - r))
-        .sum();
+    let square: f64 =
+        left.iter().flatten().zip(right.iter().flatten()).map(|(l, r)| (l - r) * (l - r)).sum();
     let sine_of_half = (square / 8.0).sqrt().min(1.0);
     Some(2.0 * sine_of_half.asin().to_degrees())
 }
@@ -32,9 +28,7 @@ fn orthonormal_rows(values: &[f64; 6]) -> Option<[Row; 3]> {
     let first = unit([a, b, c])?;
     let second = [d, e, f];
     let along = dot(first, second);
-    let second = unit(std::array::from_fn(|axis| {
-        second[axis] - along * first[axis]
-    }))?;
+    let second = unit(std::array::from_fn(|axis| second[axis] - along * first[axis]))?;
     Some([first, second, cross(first, second)])
 }
 
@@ -44,10 +38,7 @@ fn unit(row: Row) -> Option<Row> {
 }
 
 fn dot(left: Row, right: Row) -> f64 {
-    left.iter()
-        .zip(right)
-        .map(|(left, right)| left * right)
-        .sum()
+    left.iter().zip(right).map(|(left, right)| left * right).sum()
 }
 
 fn cross([a, b, c]: Row, [d, e, f]: Row) -> Row {
@@ -68,20 +59,14 @@ mod tests {
     #[test]
     fn six_numbers_without_direction_are_no_rotation() {
         assert_eq!(angle_between_deg(&IDENTITY, &[0.0; 6]), None);
-        assert_eq!(
-            angle_between_deg(&[1.0, 0.0, 0.0, 2.0, 0.0, 0.0], &IDENTITY),
-            None
-        );
+        assert_eq!(angle_between_deg(&[1.0, 0.0, 0.0, 2.0, 0.0, 0.0], &IDENTITY), None);
     }
 
     #[test]
     fn angle_is_exact_from_tiny_to_half_a_turn() {
         for angle_deg in [0.0, 1e-6, 0.01, 1.0, 90.0, 179.9, 180.0] {
             let found = angle_between_deg(&IDENTITY, &about_z(angle_deg)).unwrap();
-            assert!(
-                (found - angle_deg).abs() < 1e-5,
-                "{found} instead of {angle_deg}"
-            );
+            assert!((found - angle_deg).abs() < 1e-5, "{found} instead of {angle_deg}");
         }
     }
 

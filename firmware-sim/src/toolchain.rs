@@ -83,11 +83,8 @@ impl Toolchain {
     fn probe(target: Target, bin: &Path, folder: &Path) -> Option<Self> {
         let (cargo, rustc) = (bin.join("cargo"), bin.join("rustc"));
         answer(clean_command(&cargo).arg("--version").current_dir(folder))?;
-        let sysroot = answer(
-            clean_command(&rustc)
-                .args(["--print", "sysroot"])
-                .current_dir(folder),
-        )?;
+        let sysroot =
+            answer(clean_command(&rustc).args(["--print", "sysroot"]).current_dir(folder))?;
         let rustlib = Path::new(&sysroot).join("lib/rustlib");
         let library = if rustlib.join(target.triple()).join("lib").is_dir() {
             Library::Installed
@@ -102,51 +99,34 @@ impl Toolchain {
             answer(Command::new(GNU_LINKER).arg("--version"))?;
             Linker::Gnu
         };
-        Some(Self {
-            target,
-            cargo,
-            rustc,
-            library,
-            linker,
-        })
+        Some(Self { target, cargo, rustc, library, linker })
     }
 
     /// `cargo build --release` for the target, to be completed with the program's own arguments.
     pub fn build_command(&self) -> Command {
         let mut command = clean_command(&self.cargo);
-        command.args([
-            "build",
-            "--release",
-            "--locked",
-            "--target",
-            self.target.triple(),
-        ]);
+        command.args(["build", "--release", "--locked", "--target", self.target.triple()]);
         if self.rustc.is_absolute() {
             command.env("RUSTC", &self.rustc);
         }
-        let mut flags = vec![
-            "-C".to_owned(),
-            format!("target-cpu={}", self.target.name()),
-        ];
+        let mut flags = vec!["-C".to_owned(), format!("target-cpu={}", self.target.name())];
         if self.linker == Linker::Gnu {
             flags.extend(["-C".to_owned(), "linker-flavor=ld".to_owned()]);
-            command
-                .arg("--config")
-                .arg(self.setting("linker", &format!("{GNU_LINKER:?}")));
+            command.arg("--config").arg(setting("linker", &format!("{GNU_LINKER:?}")));
         }
-        command
-            .arg("--config")
-            .arg(self.setting("rustflags", &format!("{flags:?}")));
+        command.arg("--config").arg(setting("rustflags", &format!("{flags:?}")));
         if self.library == Library::FromSource {
             command.arg("-Zbuild-std=core").env("RUSTC_BOOTSTRAP", "1");
         }
         command
     }
+}
 
-    /// Cargo joins lists of all sources, so the linker script named in `.cargo/config.toml` stays.
-    fn setting(&self, key: &str, toml: &str) -> OsString {
-        format!("target.'{}'.{key}={toml}", self.target.triple()).into()
-    }
+/// A setting for every bare-metal target: cargo does not find a key with a dot, which Armv8-M's triple has.
+///
+/// Cargo joins lists of all sources, so the linker script named in `.cargo/config.toml` stays.
+fn setting(key: &str, toml: &str) -> OsString {
+    format!("target.'cfg(target_os = \"none\")'.{key}={toml}").into()
 }
 
 fn missing(target: Target) -> Error {
@@ -171,10 +151,7 @@ fn clean_command(program: &Path) -> Command {
 
 /// The first line that a program prints, if it exists and succeeds.
 fn answer(command: &mut Command) -> Option<String> {
-    let output = command
-        .output()
-        .ok()
-        .filter(|output| output.status.success())?;
+    let output = command.output().ok().filter(|output| output.status.success())?;
     let text = String::from_utf8(output.stdout).ok()?;
     text.lines().next().map(str::to_owned)
 }
@@ -184,9 +161,7 @@ fn has_lld(rustlib: &Path) -> bool {
     let Ok(folders) = rustlib.read_dir() else {
         return false;
     };
-    folders
-        .flatten()
-        .any(|folder| folder.path().join("bin/rust-lld").is_file())
+    folders.flatten().any(|folder| folder.path().join("bin/rust-lld").is_file())
 }
 
 #[cfg(test)]
@@ -196,19 +171,13 @@ mod tests {
     #[test]
     fn folder_without_programs_holds_no_toolchain() {
         let folder = tempfile::tempdir().unwrap();
-        assert_eq!(
-            Toolchain::probe(Target::CortexM4, folder.path(), folder.path()),
-            None
-        );
+        assert_eq!(Toolchain::probe(Target::CortexM4, folder.path(), folder.path()), None);
     }
 
     #[test]
     fn missing_toolchain_names_both_ways_to_get_one() {
         let text = missing(Target::CortexM4).to_string();
-        assert!(
-            text.contains("rustup target add thumbv7em-none-eabihf"),
-            "{text}"
-        );
+        assert!(text.contains("rustup target add thumbv7em-none-eabihf"), "{text}");
         assert!(text.contains("apt-get install -y rustc-web"), "{text}");
     }
 
@@ -222,20 +191,14 @@ mod tests {
             linker: Linker::Gnu,
         };
         let command = toolchain.build_command();
-        let arguments: Vec<_> = command
-            .get_args()
-            .map(|text| text.to_string_lossy())
-            .collect();
+        let arguments: Vec<_> = command.get_args().map(|text| text.to_string_lossy()).collect();
         let expected = [
-            r#"target.'thumbv7em-none-eabihf'.linker="arm-none-eabi-ld""#,
-            r#"target.'thumbv7em-none-eabihf'.rustflags=["-C", "target-cpu=cortex-m4", "-C", "linker-flavor=ld"]"#,
+            r#"target.'cfg(target_os = "none")'.linker="arm-none-eabi-ld""#,
+            r#"target.'cfg(target_os = "none")'.rustflags=["-C", "target-cpu=cortex-m4", "-C", "linker-flavor=ld"]"#,
             "-Zbuild-std=core",
         ];
         for argument in expected {
-            assert!(
-                arguments.iter().any(|found| found == argument),
-                "{arguments:?}"
-            );
+            assert!(arguments.iter().any(|found| found == argument), "{arguments:?}");
         }
     }
 }

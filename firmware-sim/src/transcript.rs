@@ -40,10 +40,7 @@ impl Transcript {
                 };
                 let [static_bytes, stack_bytes_max] =
                     [static_bytes, stack_bytes_max].map(i32::cast_unsigned);
-                self.ram = Some(Ram {
-                    static_bytes,
-                    stack_bytes_max,
-                });
+                self.ram = Some(Ram { static_bytes, stack_bytes_max });
             }
             _ => {}
         }
@@ -69,10 +66,7 @@ fn numbers(line: &str, digits: &str) -> Result<Vec<i32>> {
 
 fn unreadable(line: &str) -> Error {
     let reason = format!("unreadable line of {} characters", line.len());
-    Error::Firmware {
-        reason,
-        log: line.chars().take(80).collect(),
-    }
+    Error::Firmware { reason, log: line.chars().take(80).collect() }
 }
 
 #[cfg(test)]
@@ -81,11 +75,7 @@ mod tests {
 
     #[test]
     fn pose_line_with_a_missing_digit_is_rejected() {
-        assert!(
-            Transcript::default()
-                .read_line("pose 0000000100000")
-                .is_err()
-        );
+        assert!(Transcript::default().read_line("pose 0000000100000").is_err());
     }
 
     #[test]
@@ -102,19 +92,11 @@ mod tests {
     #[test]
     fn poses_and_ram_are_read_and_remarks_skipped() {
         let mut transcript = Transcript::default();
-        for line in [
-            "",
-            "error: none",
-            "pose 00010000ffffffff",
-            "ram 0000001000001000",
-        ] {
+        for line in ["", "error: none", "pose 00010000ffffffff", "ram 0000001000001000"] {
             transcript.read_line(line).unwrap();
         }
         assert_eq!(transcript.poses, [[65_536, -1]]);
-        let ram = Ram {
-            static_bytes: 16,
-            stack_bytes_max: 4096,
-        };
+        let ram = Ram { static_bytes: 16, stack_bytes_max: 4096 };
         assert_eq!(transcript.ram, Some(ram));
     }
 }

@@ -6,6 +6,43 @@ use std::path::Path;
 
 use crate::error::{Error, Result};
 
+/// What to do about a file that exists.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Overwrite {
+    /// Leave it and say so.
+    Refuse,
+    /// Replace it in one step.
+    Replace,
+}
+
+impl Overwrite {
+    /// What the flag `--force` means.
+    pub const fn from_force(force: bool) -> Self {
+        if force { Self::Replace } else { Self::Refuse }
+    }
+}
+
+/// Checks that a file may be written, before the work that fills it begins.
+///
+/// # Errors
+/// `BadInput` when it exists and `overwrite` is `Refuse`.
+pub fn check(path: &Path, overwrite: Overwrite) -> Result<()> {
+    if overwrite == Overwrite::Refuse && path.exists() {
+        let remedy = "choose another --out, or replace it with --force";
+        return Err(Error::bad_input(path, "output file", "there already", "a new file", remedy));
+    }
+    Ok(())
+}
+
+/// Writes `bytes` as a whole or not at all.
+///
+/// # Errors
+/// Those of [`check`] and [`replace`].
+pub fn write(path: &Path, bytes: &[u8], overwrite: Overwrite) -> Result<()> {
+    check(path, overwrite)?;
+    replace(path, |file| file.write_all(bytes))
+}
+
 /// Replaces `path` by what `write` writes; after an error or a kill at any moment the old file stands unharmed.
 ///
 /// # Errors
@@ -35,9 +72,7 @@ fn write_and_rename(
     file.flush()?;
     file.get_ref().sync_all()?;
     fs::rename(partial, path)?;
-    let folder = path
-        .parent()
-        .filter(|folder| !folder.as_os_str().is_empty());
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
     // The rename itself lasts only when the folder has reached the disk.
     File::open(folder.unwrap_or(Path::new(".")))?.sync_all()
 }

@@ -3,10 +3,14 @@
 //! In:  a [`PoseLayout`], poses, and for rotations a [`Skeleton`].
 //! Out: one point a joint to `represent`, pictures and metrics.
 
-use crate::kinematics;
+pub mod rotation;
+pub mod skeleton;
+pub mod infer_skeleton;
+pub mod kinematics;
+
+use crate::body::rotation::{Rotation, Vector, add};
+use crate::body::skeleton::Skeleton;
 use crate::layout::{GroupKind, PoseLayout};
-use crate::rotation::{Rotation, Vector, add};
-use crate::skeleton::Skeleton;
 
 /// Reads joint positions out of poses of one layout.
 #[derive(Clone, Debug)]
@@ -24,11 +28,7 @@ enum BodyChannels {
     Relative,
     /// Rotations over a tree; first channel of the root, and of every joint that has a rotation. //
     /// (joint)
-    Rotations {
-        skeleton: Skeleton,
-        root: usize,
-        rotations: Vec<Option<usize>>,
-    },
+    Rotations { skeleton: Skeleton, root: usize, rotations: Vec<Option<usize>> },
 }
 
 impl Body {
@@ -50,10 +50,7 @@ impl Body {
             BodyChannels::Rotations { skeleton, .. } => skeleton.joint_count(),
             _ => kinds.len(),
         };
-        Some(Self {
-            channels,
-            joint_count,
-        })
+        Some(Self { channels, joint_count })
     }
 
     /// Whether the joints are given by rotations rather than positions.
@@ -72,22 +69,12 @@ impl Body {
             BodyChannels::Absolute => pose.chunks_exact(3).map(vector).collect(),
             BodyChannels::Relative => {
                 let root = vector(pose);
-                let others = pose
-                    .chunks_exact(3)
-                    .skip(1)
-                    .map(|xyz| add(root, vector(xyz)));
+                let others = pose.chunks_exact(3).skip(1).map(|xyz| add(root, vector(xyz)));
                 std::iter::once(root).chain(others).collect()
             }
-            BodyChannels::Rotations {
-                skeleton,
-                root,
-                rotations,
-            } => {
-                let offsets: Vec<Vector> = skeleton
-                    .offsets
-                    .iter()
-                    .map(|offset| vector(offset))
-                    .collect();
+            BodyChannels::Rotations { skeleton, root, rotations } => {
+                let offsets: Vec<Vector> =
+                    skeleton.offsets.iter().map(|offset| vector(offset)).collect();
                 let locals = locals(rotations, pose);
                 kinematics::forward(skeleton, &offsets, vector(&pose[*root..]), &locals)
             }
@@ -109,10 +96,7 @@ impl Body {
     /// Root position and local rotations of one pose; `None` for a body that is given by positions.
     /// // (joint)
     pub fn root_and_rotations(&self, pose: &[f32]) -> Option<(Vector, Vec<Rotation>)> {
-        let BodyChannels::Rotations {
-            root, rotations, ..
-        } = &self.channels
-        else {
+        let BodyChannels::Rotations { root, rotations, .. } = &self.channels else {
             return None;
         };
         Some((vector(&pose[*root..]), locals(rotations, pose)))
@@ -130,12 +114,7 @@ fn rotation_channels(layout: &PoseLayout, skeleton: &Skeleton) -> Option<BodyCha
     let by_name: Vec<Option<usize>> = skeleton
         .names
         .iter()
-        .map(|joint| {
-            starts
-                .iter()
-                .find(|(name, _)| name == joint)
-                .map(|(_, start)| *start)
-        })
+        .map(|joint| starts.iter().find(|(name, _)| name == joint).map(|(_, start)| *start))
         .collect();
     let rotations = if by_name.iter().flatten().count() == starts.len() && !starts.is_empty() {
         by_name
@@ -144,11 +123,7 @@ fn rotation_channels(layout: &PoseLayout, skeleton: &Skeleton) -> Option<BodyCha
     } else {
         return None;
     };
-    Some(BodyChannels::Rotations {
-        skeleton: skeleton.clone(),
-        root: root.start,
-        rotations,
-    })
+    Some(BodyChannels::Rotations { skeleton: skeleton.clone(), root: root.start, rotations })
 }
 
 fn locals(rotations: &[Option<usize>], pose: &[f32]) -> Vec<Rotation> {
@@ -182,11 +157,7 @@ mod tests {
     fn layout(groups: &[(&str, GroupKind)]) -> PoseLayout {
         let groups = groups
             .iter()
-            .map(|(name, kind)| Group {
-                name: (*name).to_owned(),
-                kind: *kind,
-                unit: Unit::Metre,
-            })
+            .map(|(name, kind)| Group { name: (*name).to_owned(), kind: *kind, unit: Unit::Metre })
             .collect();
         PoseLayout { groups }
     }
@@ -209,21 +180,14 @@ mod tests {
             (&head[..], None),
             (&head[..2], Some(arm())),
         ] {
-            assert!(
-                Body::new(&layout(groups), skeleton.as_ref()).is_none(),
-                "{groups:?}"
-            );
+            assert!(Body::new(&layout(groups), skeleton.as_ref()).is_none(), "{groups:?}");
         }
     }
 
     #[test]
     fn rotations_belong_to_the_joints_of_their_names() {
         use GroupKind::{Rotation6d, Translation};
-        let groups = [
-            ("root", Translation),
-            ("hand", Rotation6d),
-            ("hip", Rotation6d),
-        ];
+        let groups = [("root", Translation), ("hand", Rotation6d), ("hip", Rotation6d)];
         let body = Body::new(&layout(&groups), Some(&arm())).unwrap();
         let identity = Rotation::IDENTITY.to_6d();
         let quarter = Rotation::from_rotation_vector([0.0, 0.0, std::f64::consts::FRAC_PI_2]);

@@ -205,11 +205,7 @@ mod tests {
         const LIGHT: [Joint; 4] = [Joint::Eyelid, Joint::Brow, Joint::Jaw, Joint::Whisk];
         for_each_column(|clip, joint, angles| {
             let is_light = LIGHT.contains(&joint);
-            let limit = if is_light {
-                LIGHT_DEG_PER_S2
-            } else {
-                HEAVY_DEG_PER_S2
-            };
+            let limit = if is_light { LIGHT_DEG_PER_S2 } else { HEAVY_DEG_PER_S2 };
             for pair in speeds(angles).windows(2) {
                 let acceleration = (pair[1] - pair[0]).abs() / STEP_S;
                 let name = joint.spec().name;
@@ -223,15 +219,10 @@ mod tests {
         for_each_column(|clip, joint, angles| {
             let (name, spec) = (clip.source.display(), joint.spec());
             let speeds = speeds(angles);
-            for (angle, speed) in [
-                (angles[0], speeds[0]),
-                (angles[angles.len() - 1], speeds[speeds.len() - 1]),
-            ] {
-                assert!(
-                    (angle - spec.rest_deg).abs() < 6.0,
-                    "{name} {}: {angle}",
-                    spec.name
-                );
+            for (angle, speed) in
+                [(angles[0], speeds[0]), (angles[angles.len() - 1], speeds[speeds.len() - 1])]
+            {
+                assert!((angle - spec.rest_deg).abs() < 6.0, "{name} {}: {angle}", spec.name);
                 assert!(speed.abs() < 12.0, "{name} {}: {speed}", spec.name);
             }
         });
@@ -242,12 +233,7 @@ mod tests {
         for_each_column(|clip, _, angles| {
             for angle in angles {
                 let text = format!("{angle:.2}");
-                assert_eq!(
-                    text.parse::<f32>().ok(),
-                    Some(*angle as f32),
-                    "{}",
-                    clip.name
-                );
+                assert_eq!(text.parse::<f32>().ok(), Some(*angle as f32), "{}", clip.name);
                 assert!(!text.starts_with("-0.00"), "{}", clip.name);
             }
         });
@@ -285,12 +271,7 @@ mod tests {
                         mean(squares.into_iter()).sqrt()
                     })
                     .fold(0.0, f64::max);
-                assert!(
-                    difference_deg > VISIBLE_DEG,
-                    "{} {}: {difference_deg}",
-                    a.name,
-                    b.name
-                );
+                assert!(difference_deg > VISIBLE_DEG, "{} {}: {difference_deg}", a.name, b.name);
             }
         }
     }
@@ -323,10 +304,7 @@ mod tests {
         });
         let scale = scale.collect::<Vec<_>>();
         let centroids = action_labels().map(|label| {
-            let of_action = known
-                .iter()
-                .zip(&table)
-                .filter(|(clip, _)| clip.action == label);
+            let of_action = known.iter().zip(&table).filter(|(clip, _)| clip.action == label);
             let rows = of_action.map(|(_, row)| row).collect::<Vec<_>>();
             let centroid = (0..width).map(|k| center(&rows, k)).collect::<Vec<_>>();
             (label, centroid)
@@ -336,9 +314,7 @@ mod tests {
         let unseen = clip_set(DEFAULT_SEED + 1, DEFAULT_CLIPS_PER_ACTION).clips;
         let distance = |row: &[f64], centroid: &[f64]| {
             let terms = row.iter().zip(centroid).zip(&scale);
-            terms
-                .map(|((a, b), s)| ((a - b) / s) * ((a - b) / s))
-                .sum::<f64>()
+            terms.map(|((a, b), s)| ((a - b) / s) * ((a - b) / s)).sum::<f64>()
         };
         let right = unseen.iter().filter(|clip| {
             let row = features(clip);
@@ -374,14 +350,9 @@ mod tests {
         let mut hash = Sha256::new();
         for clip in clip_set(DEFAULT_SEED, DEFAULT_CLIPS_PER_ACTION).clips {
             hash.update(clip.name.as_bytes());
-            clip.poses
-                .iter()
-                .for_each(|angle| hash.update(angle.to_le_bytes()));
+            clip.poses.iter().for_each(|angle| hash.update(angle.to_le_bytes()));
         }
-        let hex = hash
-            .finalize()
-            .into_iter()
-            .map(|byte| format!("{byte:02x}"));
+        let hex = hash.finalize().into_iter().map(|byte| format!("{byte:02x}"));
         assert_eq!(hex.collect::<String>(), GOLDEN_SHA256);
     }
 

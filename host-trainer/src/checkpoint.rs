@@ -15,7 +15,7 @@
 mod tensor_file;
 
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -24,8 +24,8 @@ use crate::config::{DecoderStep, TrainConfig};
 use crate::dataset::{Dataset, DatasetDescription};
 use crate::error::{Error, Result};
 use crate::float_model::{CodeTable, DenseLayer, FloatModel, ModelShape};
-use crate::optimizer::{CodeMoments, DecoderMoments};
 use crate::random::{Purpose, stream};
+use crate::train::optimizer::{CodeMoments, DecoderMoments};
 use tensor_file::{TensorReader, TensorWriter};
 
 /// All that a run has learned, and all that it needs to go on.
@@ -123,14 +123,8 @@ impl Checkpoint {
         let json = |error| unreachable!("plain structs: {error}");
         let mut writer = TensorWriter::default();
         writer.metadata("config", self.config.to_toml());
-        writer.metadata(
-            "dataset",
-            serde_json::to_string(&self.dataset).unwrap_or_else(json),
-        );
-        writer.metadata(
-            "state",
-            serde_json::to_string(&self.state).unwrap_or_else(json),
-        );
+        writer.metadata("dataset", serde_json::to_string(&self.dataset).unwrap_or_else(json));
+        writer.metadata("state", serde_json::to_string(&self.state).unwrap_or_else(json));
         writer.frequencies("frequencies_rad", &self.model.frequencies_rad);
         writer.layers("decoder", &self.model.layers);
         writer.codes("sequence_code", &self.sequence_codes);
@@ -156,16 +150,12 @@ impl Checkpoint {
     /// * `Io` when the file cannot be read.
     /// * `BadInput` when it is cut, damaged, or not a checkpoint of this program.
     pub fn load(run: &Path) -> Result<Self> {
-        let file = if run.is_dir() {
-            run.join(Self::FILE_NAME)
-        } else {
-            run.to_path_buf()
-        };
+        let file = if run.is_dir() { run.join(Self::FILE_NAME) } else { run.to_path_buf() };
         let bytes = fs::read(&file).map_err(Error::io("read", &file))?;
         Self::from_bytes(&bytes, &file)
     }
 
-    fn from_bytes(bytes: &[u8], file: &PathBuf) -> Result<Self> {
+    fn from_bytes(bytes: &[u8], file: &Path) -> Result<Self> {
         let reader = TensorReader::parse(bytes, file)?;
         let config = TrainConfig::from_toml(reader.metadata("config")?, file)?;
         let dataset: DatasetDescription = reader.json("dataset")?;
@@ -178,10 +168,9 @@ impl Checkpoint {
         let action_shape = [dataset.actions.len(), codes.action_dimensions];
         let decoder_gradient = match config.update.decoder_step {
             DecoderStep::Epoch => reader.layers("adam.gradient.decoder", &widths)?,
-            DecoderStep::Batch => widths
-                .windows(2)
-                .map(|w| DenseLayer::zeros(w[0], w[1]))
-                .collect(),
+            DecoderStep::Batch => {
+                widths.windows(2).map(|w| DenseLayer::zeros(w[0], w[1])).collect()
+            }
         };
         Ok(Self {
             model: FloatModel {
@@ -212,11 +201,7 @@ impl Checkpoint {
     /// β then α of a clip, by their means. // (β then α)
     pub fn mean_code(&self, clip: usize) -> Vec<f32> {
         let action = self.dataset.clips[clip].action;
-        [
-            self.sequence_codes.mean_of(clip),
-            self.action_codes.mean_of(action),
-        ]
-        .concat()
+        [self.sequence_codes.mean_of(clip), self.action_codes.mean_of(action)].concat()
     }
 }
 
@@ -245,37 +230,19 @@ pub fn dataset_hash(dataset: &Dataset) -> String {
 /// Refuses a description whose parts contradict each other, so that indexing by it cannot fail.
 fn check_description(dataset: &DatasetDescription, file: &Path) -> Result<()> {
     let channel_count = dataset.layout.channel_count();
-    let lost = dataset
-        .clips
-        .iter()
-        .find(|clip| clip.action >= dataset.actions.len());
+    let lost = dataset.clips.iter().find(|clip| clip.action >= dataset.actions.len());
     let complaint = if let Some(clip) = lost {
-        Some((
-            "clips",
-            format!("action {} of clip {}", clip.action, clip.name),
-        ))
+        Some(("clips", format!("action {} of clip {}", clip.action, clip.name)))
     } else if dataset.mean.len() != channel_count || dataset.scale.len() != channel_count {
-        Some((
-            "mean and scale",
-            format!("{} and {}", dataset.mean.len(), dataset.scale.len()),
-        ))
+        Some(("mean and scale", format!("{} and {}", dataset.mean.len(), dataset.scale.len())))
     } else {
         None
     };
     let Some((field, value)) = complaint else {
         return Ok(());
     };
-    let expected = format!(
-        "one of {} actions, {channel_count} channels",
-        dataset.actions.len()
-    );
-    Err(Error::bad_input(
-        file,
-        field,
-        value,
-        expected,
-        "train again; the file was changed",
-    ))
+    let expected = format!("one of {} actions, {channel_count} channels", dataset.actions.len());
+    Err(Error::bad_input(file, field, value, expected, "train again; the file was changed"))
 }
 
 /// Lower-case hexadecimal digits.
@@ -303,10 +270,7 @@ mod tests {
         for len in (0..bytes.len()).step_by(97).chain([bytes.len() - 1]) {
             fs::write(&file, &bytes[..len]).unwrap();
             let message = Checkpoint::load(folder.path()).unwrap_err().to_string();
-            assert!(
-                message.contains("checkpoint.safetensors"),
-                "{len}: {message}"
-            );
+            assert!(message.contains("checkpoint.safetensors"), "{len}: {message}");
         }
     }
 
@@ -319,11 +283,8 @@ mod tests {
             let mut damaged = bytes.clone();
             damaged[place] ^= 0x01;
             // Some changes are harmless (a name in the description); none may panic or change a shape.
-            if let Ok(loaded) = Checkpoint::from_bytes(&damaged, &PathBuf::from("damaged")) {
-                assert_eq!(
-                    loaded.model.parameter_count(),
-                    checkpoint.model.parameter_count()
-                );
+            if let Ok(loaded) = Checkpoint::from_bytes(&damaged, Path::new("damaged")) {
+                assert_eq!(loaded.model.parameter_count(), checkpoint.model.parameter_count());
             }
         }
     }
@@ -334,14 +295,8 @@ mod tests {
         let file = folder.path().join("x.safetensors");
         fs::write(&file, b"\x02\0\0\0\0\0\0\0{}").unwrap();
         let message = Checkpoint::load(&file).unwrap_err().to_string();
-        assert!(
-            message.contains("config") && message.contains("folder of a run"),
-            "{message}"
-        );
-        assert!(matches!(
-            Checkpoint::load(&folder.path().join("no")),
-            Err(Error::Io { .. })
-        ));
+        assert!(message.contains("config") && message.contains("folder of a run"), "{message}");
+        assert!(matches!(Checkpoint::load(&folder.path().join("no")), Err(Error::Io { .. })));
     }
 
     #[test]
@@ -360,10 +315,7 @@ mod tests {
         let (folder, checkpoint) = saved("");
         // A folder where the unfinished file would go makes its creation fail, as a full disk does.
         fs::create_dir(folder.path().join("checkpoint.safetensors.partial")).unwrap();
-        assert!(matches!(
-            checkpoint.save(folder.path()),
-            Err(Error::Io { .. })
-        ));
+        assert!(matches!(checkpoint.save(folder.path()), Err(Error::Io { .. })));
         assert_eq!(Checkpoint::load(folder.path()).unwrap(), checkpoint);
     }
 }

@@ -5,8 +5,8 @@
 
 use std::path::PathBuf;
 
+use crate::body::skeleton::Skeleton;
 use crate::layout::PoseLayout;
-use crate::skeleton::Skeleton;
 
 /// Timed poses of one recording, at the fixed rate of its set.
 #[derive(Clone, Debug, PartialEq)]

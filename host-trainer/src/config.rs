@@ -237,13 +237,7 @@ impl TrainConfig {
         let text = fs::read_to_string(file).map_err(Error::io("read", file))?;
         let overrides: Table = text.parse().map_err(|error: toml::de::Error| {
             let remedy = "correct the syntax there";
-            Error::bad_input(
-                file,
-                "the text",
-                error.to_string().trim_end(),
-                "TOML",
-                remedy,
-            )
+            Error::bad_input(file, "the text", error.to_string().trim_end(), "TOML", remedy)
         })?;
         let mut table = preset_table(name)?;
         override_keys(&mut table, overrides, "", file)?;
@@ -255,9 +249,7 @@ impl TrainConfig {
     /// # Errors
     /// `BadInput` for anything but a complete and valid configuration.
     pub fn from_toml(text: &str, source: &Path) -> Result<Self> {
-        let table = text
-            .parse::<Table>()
-            .map_err(|error| incomplete(&error, source))?;
+        let table = text.parse::<Table>().map_err(|error| incomplete(&error, source))?;
         Self::from_table(table, source)
     }
 
@@ -272,9 +264,7 @@ impl TrainConfig {
     }
 
     fn from_table(table: Table, source: &Path) -> Result<Self> {
-        let config: Self = table
-            .try_into()
-            .map_err(|error| incomplete(&error, source))?;
+        let config: Self = table.try_into().map_err(|error| incomplete(&error, source))?;
         config.check(source)?;
         Ok(config)
     }
@@ -289,17 +279,13 @@ impl TrainConfig {
                 "decoder.hidden_widths",
                 format!("{:?}", self.decoder.hidden_widths),
                 !self.decoder.hidden_widths.is_empty()
-                    && self
-                        .decoder
-                        .hidden_widths
-                        .iter()
-                        .all(|width| (1..=65_535).contains(width)),
+                    && self.decoder.hidden_widths.iter().all(|width| (1..=65_535).contains(width)),
                 "one width or more, each 1 to 65535",
             ),
             rule(
                 "time.sinusoid_count",
                 self.time.sinusoid_count,
-                self.time.sinusoid_count >= 2 && self.time.sinusoid_count % 2 == 0,
+                self.time.sinusoid_count >= 2 && self.time.sinusoid_count.is_multiple_of(2),
                 "an even number of 2 or more",
             ),
             rule(
@@ -332,18 +318,8 @@ impl TrainConfig {
                 self.loss.kl_weight >= 0.0 && self.loss.kl_weight.is_finite(),
                 "0 or more",
             ),
-            rule(
-                "batch.clips",
-                self.batch.clips,
-                self.batch.clips >= 1,
-                "1 or more",
-            ),
-            rule(
-                "batch.frames",
-                self.batch.frames,
-                self.batch.frames >= 1,
-                "1 or more",
-            ),
+            rule("batch.clips", self.batch.clips, self.batch.clips >= 1, "1 or more"),
+            rule("batch.frames", self.batch.frames, self.batch.frames >= 1, "1 or more"),
             rule(
                 "update.gradient_norm_max",
                 self.update.gradient_norm_max,
@@ -374,12 +350,7 @@ impl TrainConfig {
                 (0.0..1.0).contains(&self.adam.beta2),
                 "0 or more, below 1",
             ),
-            rule(
-                "adam.epsilon",
-                self.adam.epsilon,
-                self.adam.epsilon > 0.0,
-                "above 0",
-            ),
+            rule("adam.epsilon", self.adam.epsilon, self.adam.epsilon > 0.0, "above 0"),
             rule(
                 "budget.steps",
                 self.budget.steps,
@@ -395,13 +366,9 @@ impl TrainConfig {
         ];
         match rules.into_iter().find(|rule| !rule.2) {
             None => Ok(()),
-            Some((key, value, _, expected)) => Err(Error::bad_input(
-                source,
-                key,
-                value,
-                expected,
-                "correct the value",
-            )),
+            Some((key, value, _, expected)) => {
+                Err(Error::bad_input(source, key, value, expected, "correct the value"))
+            }
         }
     }
 }
@@ -418,20 +385,10 @@ fn rule<'a>(
 
 fn preset_table(name: &str) -> Result<Table> {
     let names = PRESETS.map(|(name, _)| name).join(", ");
-    let (_, text) = PRESETS
-        .into_iter()
-        .find(|(preset, _)| *preset == name)
-        .ok_or_else(|| {
-            Error::bad_input(
-                "--preset",
-                "name",
-                name,
-                &names,
-                "choose one of these names",
-            )
-        })?;
-    text.parse()
-        .map_err(|error| incomplete(&error, Path::new(name)))
+    let (_, text) = PRESETS.into_iter().find(|(preset, _)| *preset == name).ok_or_else(|| {
+        Error::bad_input("--preset", "name", name, &names, "choose one of these names")
+    })?;
+    text.parse().map_err(|error| incomplete(&error, Path::new(name)))
 }
 
 /// Replaces the preset's values by the user's, key by key.
@@ -453,13 +410,7 @@ fn override_keys(preset: &mut Table, overrides: Table, section: &str, file: &Pat
             (target, value) if target.same_type(&value) => *target = value,
             (target, value) => {
                 let expected = format!("a value of type {}, as {target}", target.type_str());
-                return Err(Error::bad_input(
-                    file,
-                    path,
-                    value,
-                    expected,
-                    "correct the value",
-                ));
+                return Err(Error::bad_input(file, path, value, expected, "correct the value"));
             }
         }
     }
@@ -498,10 +449,7 @@ mod tests {
     fn unknown_key_is_rejected_with_its_path_and_the_known_keys() {
         let message = with_file("[adam]\nbeta3 = 0.5").unwrap_err().to_string();
         assert!(message.contains("own.toml: adam.beta3"), "{message}");
-        assert!(
-            message.contains("beta1") && message.contains("spelling"),
-            "{message}"
-        );
+        assert!(message.contains("beta1") && message.contains("spelling"), "{message}");
     }
 
     #[test]
@@ -519,10 +467,7 @@ mod tests {
             ("seed = ", "TOML"),
         ] {
             let message = with_file(text).unwrap_err().to_string();
-            assert!(
-                message.contains(word) && message.contains("own.toml"),
-                "{text}: {message}"
-            );
+            assert!(message.contains(word) && message.contains("own.toml"), "{text}: {message}");
         }
     }
 
@@ -540,10 +485,7 @@ mod tests {
     fn every_key_of_every_preset_has_a_comment() {
         for (name, text) in PRESETS {
             for line in text.lines().filter(|line| line.contains(" = ")) {
-                assert!(
-                    line.contains(" # ") || line.starts_with('#'),
-                    "{name}: {line}"
-                );
+                assert!(line.contains(" # ") || line.starts_with('#'), "{name}: {line}");
             }
         }
     }

@@ -13,10 +13,10 @@ use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
 
+use crate::body::skeleton::Skeleton;
 use crate::clip::{Clip, ClipSet};
 use crate::error::{Error, Result};
 use crate::layout::{GroupKind, PoseLayout};
-use crate::skeleton::Skeleton;
 
 /// What a checkpoint has to remember of its dataset: everything except the poses.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -136,11 +136,7 @@ pub fn build(clip_set: &ClipSet, options: &DatasetOptions) -> Result<Dataset> {
         poses.extend_from_slice(&clip.poses);
     }
     description.standardize(&mut poses);
-    Ok(Dataset {
-        description,
-        poses,
-        first_rows,
-    })
+    Ok(Dataset { description, poses, first_rows })
 }
 
 fn check_clip(clip: &Clip, layout: &PoseLayout) -> Result<()> {
@@ -164,10 +160,7 @@ fn check_clip(clip: &Clip, layout: &PoseLayout) -> Result<()> {
         ));
     }
     if let Some(index) = clip.poses.iter().position(|value| !value.is_finite()) {
-        let (frame, channel) = (
-            index / layout.channel_count(),
-            index % layout.channel_count(),
-        );
+        let (frame, channel) = (index / layout.channel_count(), index % layout.channel_count());
         return Err(Error::bad_input(
             &clip.source,
             format!("frame {frame}, channel {}", layout.channel_names()[channel]),
@@ -203,11 +196,7 @@ fn channel_statistics(clip_set: &ClipSet, channel: usize) -> ChannelStatistics {
     let channel_count = clip_set.layout.channel_count();
     let values = || {
         clip_set.clips.iter().flat_map(move |clip| {
-            clip.poses
-                .iter()
-                .skip(channel)
-                .step_by(channel_count)
-                .map(|value| f64::from(*value))
+            clip.poses.iter().skip(channel).step_by(channel_count).map(|value| f64::from(*value))
         })
     };
     let count = values().count() as f64;
@@ -218,19 +207,14 @@ fn channel_statistics(clip_set: &ClipSet, channel: usize) -> ChannelStatistics {
     });
     // A few units of the last place of f32 are rounding of a constant, not motion.
     let is_constant = max - min <= 4.0 * f64::from(f32::EPSILON) * min.abs().max(max.abs());
-    ChannelStatistics {
-        mean,
-        variance,
-        is_constant,
-    }
+    ChannelStatistics { mean, variance, is_constant }
 }
 
 /// Mean and scale of every channel. // (channel), (channel)
 fn mean_and_scale(clip_set: &ClipSet) -> (Vec<f32>, Vec<f32>) {
     let layout = &clip_set.layout;
-    let statistics: Vec<ChannelStatistics> = (0..layout.channel_count())
-        .map(|channel| channel_statistics(clip_set, channel))
-        .collect();
+    let statistics: Vec<ChannelStatistics> =
+        (0..layout.channel_count()).map(|channel| channel_statistics(clip_set, channel)).collect();
     let mut scale = vec![0.0; statistics.len()];
     for channels in scale_families(layout) {
         let moving: Vec<f64> = channels
@@ -240,9 +224,7 @@ fn mean_and_scale(clip_set: &ClipSet) -> (Vec<f32>, Vec<f32>) {
             .collect();
         let shared = (moving.iter().sum::<f64>() / moving.len().max(1) as f64).sqrt();
         for channel in channels {
-            let ChannelStatistics {
-                mean, is_constant, ..
-            } = statistics[channel];
+            let ChannelStatistics { mean, is_constant, .. } = statistics[channel];
             let constant = constant_scale(mean as f32);
             scale[channel] = if is_constant { constant } else { shared as f32 };
         }
@@ -253,10 +235,7 @@ fn mean_and_scale(clip_set: &ClipSet) -> (Vec<f32>, Vec<f32>) {
 /// Sets of channels that share a scale.
 fn scale_families(layout: &PoseLayout) -> Vec<Vec<usize>> {
     let of_kind = |kind: GroupKind| {
-        layout
-            .ranges()
-            .filter(move |(group, _)| group.kind == kind)
-            .map(|(_, range)| range)
+        layout.ranges().filter(move |(group, _)| group.kind == kind).map(|(_, range)| range)
     };
     let shared = |kind| of_kind(kind).flatten().collect::<Vec<usize>>();
     let own = |kind| of_kind(kind).map(Range::collect::<Vec<usize>>);
@@ -321,11 +300,7 @@ mod tests {
         let groups = kinds
             .iter()
             .enumerate()
-            .map(|(index, kind)| Group {
-                name: format!("g{index}"),
-                kind: *kind,
-                unit: Unit::One,
-            })
+            .map(|(index, kind)| Group { name: format!("g{index}"), kind: *kind, unit: Unit::One })
             .collect();
         PoseLayout { groups }
     }
@@ -340,21 +315,13 @@ mod tests {
                 poses: poses.clone(),
             })
             .collect();
-        ClipSet {
-            layout: layout(kinds),
-            rate_hz: 50.0,
-            skeleton: None,
-            clips,
-            remarks: Vec::new(),
-        }
+        ClipSet { layout: layout(kinds), rate_hz: 50.0, skeleton: None, clips, remarks: Vec::new() }
     }
 
     const TWO_SCALARS: [GroupKind; 2] = [GroupKind::Scalar, GroupKind::Scalar];
 
     fn refusal(clip_set: &ClipSet) -> String {
-        build(clip_set, &DatasetOptions::default())
-            .unwrap_err()
-            .to_string()
+        build(clip_set, &DatasetOptions::default()).unwrap_err().to_string()
     }
 
     #[test]
@@ -365,19 +332,13 @@ mod tests {
     #[test]
     fn clip_of_one_frame_is_refused_by_name() {
         let error = refusal(&clip_set(&TWO_SCALARS, &[("nod3", "nod", vec![0.0; 2])]));
-        assert!(
-            error.contains("nod3.csv") && error.contains("1 frames"),
-            "{error}"
-        );
+        assert!(error.contains("nod3.csv") && error.contains("1 frames"), "{error}");
     }
 
     #[test]
     fn clip_without_a_label_is_refused_with_the_remedy() {
         let error = refusal(&clip_set(&TWO_SCALARS, &[("nod3", "", vec![0.0; 4])]));
-        assert!(
-            error.contains("nod3.csv") && error.contains("--labels"),
-            "{error}"
-        );
+        assert!(error.contains("nod3.csv") && error.contains("--labels"), "{error}");
     }
 
     #[test]
@@ -406,21 +367,14 @@ mod tests {
 
     #[test]
     fn positions_share_a_scale_and_scalars_do_not() {
-        let kinds = [
-            GroupKind::Position,
-            GroupKind::Position,
-            GroupKind::Scalar,
-            GroupKind::Scalar,
-        ];
+        let kinds =
+            [GroupKind::Position, GroupKind::Position, GroupKind::Scalar, GroupKind::Scalar];
         let poses = vec![
             1.0, 2.0, 3.0, 40.0, 50.0, 60.0, 7.0, 8.0, //
             3.0, 2.0, 9.0, 10.0, 11.0, 12.0, 9.0, 80.0,
         ];
-        let dataset = build(
-            &clip_set(&kinds, &[("a", "x", poses)]),
-            &DatasetOptions::default(),
-        )
-        .unwrap();
+        let dataset =
+            build(&clip_set(&kinds, &[("a", "x", poses)]), &DatasetOptions::default()).unwrap();
         let scale = &dataset.description.scale;
         assert_eq!([scale[0], scale[2], scale[3]], [scale[5]; 3]);
         assert_eq!(scale[6], 1.0);
@@ -430,11 +384,9 @@ mod tests {
     #[test]
     fn constant_channel_comes_back_exactly_whatever_the_decoder_says() {
         let poses = vec![0.3, 1.0, 0.3, 2.0, 0.3, 5.0];
-        let dataset = build(
-            &clip_set(&TWO_SCALARS, &[("a", "x", poses)]),
-            &DatasetOptions::default(),
-        )
-        .unwrap();
+        let dataset =
+            build(&clip_set(&TWO_SCALARS, &[("a", "x", poses)]), &DatasetOptions::default())
+                .unwrap();
         assert!(dataset.description.is_constant(0) && !dataset.description.is_constant(1));
         assert_eq!(dataset.poses[0], 0.0);
         let mut decoded = vec![5.0, 0.0];
@@ -445,14 +397,9 @@ mod tests {
     #[test]
     fn without_standardization_the_poses_are_the_values() {
         let poses = vec![0.3, 1.0, 0.3, 2.0];
-        let options = DatasetOptions {
-            standardization: Standardization::None,
-        };
-        let dataset = build(
-            &clip_set(&TWO_SCALARS, &[("a", "x", poses.clone())]),
-            &options,
-        )
-        .unwrap();
+        let options = DatasetOptions { standardization: Standardization::None };
+        let dataset =
+            build(&clip_set(&TWO_SCALARS, &[("a", "x", poses.clone())]), &options).unwrap();
         assert_eq!(dataset.poses, poses);
     }
 

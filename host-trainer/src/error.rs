@@ -77,11 +77,7 @@ impl Error {
         path: impl Into<PathBuf>,
     ) -> impl FnOnce(std::io::Error) -> Self {
         let path = path.into();
-        move |source| Self::Io {
-            path,
-            action,
-            source,
-        }
+        move |source| Self::Io { path, action, source }
     }
 
     /// Exit code of the process: 3 bad input, 4 input/output, 5 bad blob, 130 interrupted (2 is clap's).

@@ -3,17 +3,18 @@
 //! In:  [`Motion`] from `generate`.
 //! Out: CSV (read again by the importer), NumPy, or JSON; each written whole or not at all.
 
-use std::io::Write;
+pub mod bvh;
+
 use std::path::{Path, PathBuf};
 
 use npyz::WriterBuilder;
 use serde::Serialize;
 
+use crate::atomic_file::{self, Overwrite};
 use crate::body::Body;
-use crate::bvh_export as bvh;
+use crate::body::skeleton::Skeleton;
 use crate::error::{Error, Result};
 use crate::layout::PoseLayout;
-use crate::skeleton::Skeleton;
 
 /// One generated motion with everything that is needed to make it again.
 #[derive(Clone, Debug, PartialEq)]
@@ -50,11 +51,7 @@ impl Motion {
     /// Joint positions of every pose, or `None` where the layout is not a body. // (frame, joint)
     pub fn joint_positions(&self) -> Option<Vec<Vec<[f64; 3]>>> {
         let body = Body::new(&self.layout, self.skeleton.as_ref())?;
-        Some(
-            self.frames()
-                .map(|pose| body.joint_positions(pose))
-                .collect(),
-        )
+        Some(self.frames().map(|pose| body.joint_positions(pose)).collect())
     }
 }
 
@@ -84,15 +81,6 @@ impl ExportFormat {
     }
 }
 
-/// What to do about a file that exists.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Overwrite {
-    /// Leave it and say so.
-    Refuse,
-    /// Replace it in one step.
-    Replace,
-}
-
 /// Writes one motion; returns the files that it made, `path` first.
 ///
 /// # Errors
@@ -113,13 +101,10 @@ pub fn write(
         let bytes = joints_npy(&joints).map_err(Error::io("encode", &file))?;
         files.push((file, bytes));
     }
-    if overwrite == Overwrite::Refuse {
-        files
-            .iter()
-            .try_for_each(|(file, _)| refuse_existing(file))?;
-    }
+    // All or none: a file that is in the way must not leave half of a pair behind.
+    files.iter().try_for_each(|(file, _)| atomic_file::check(file, overwrite))?;
     for (file, bytes) in &files {
-        write_atomically(file, bytes, overwrite)?;
+        atomic_file::write(file, bytes, overwrite)?;
     }
     Ok(files.into_iter().map(|(file, _)| file).collect())
 }
@@ -128,10 +113,7 @@ fn encode(motion: &Motion, format: ExportFormat, path: &Path) -> Result<Vec<u8>>
     match format {
         ExportFormat::Csv => Ok(csv(motion).into_bytes()),
         ExportFormat::Npy => {
-            let shape = [
-                motion.frame_count() as u64,
-                motion.layout.channel_count() as u64,
-            ];
+            let shape = [motion.frame_count() as u64, motion.layout.channel_count() as u64];
             npy(&shape, motion.poses.iter().copied()).map_err(Error::io("encode", path))
         }
         ExportFormat::Json => json(motion).map_err(Error::io("encode", path)),
@@ -178,11 +160,7 @@ fn npy(shape: &[u64], values: impl Iterator<Item = f32>) -> std::io::Result<Vec<
 
 fn joints_npy(joints: &[Vec<[f64; 3]>]) -> std::io::Result<Vec<u8>> {
     let joint_count = joints.first().map_or(0, Vec::len);
-    let values = joints
-        .iter()
-        .flatten()
-        .flatten()
-        .map(|element| *element as f32);
+    let values = joints.iter().flatten().flatten().map(|element| *element as f32);
     npy(&[joints.len() as u64, joint_count as u64, 3], values)
 }
 
@@ -219,66 +197,13 @@ fn json(motion: &Motion) -> std::io::Result<Vec<u8>> {
     Ok(serde_json::to_vec(&file)?)
 }
 
-fn refuse_existing(path: &Path) -> Result<()> {
-    if path.exists() {
-        return Err(Error::bad_input(
-            path,
-            "output file",
-            "there already",
-            "a new file",
-            "choose another --out, or replace it with --force",
-        ));
-    }
-    Ok(())
-}
-
-/// Writes a file whole or not at all: a temporary file in the same folder, synced, then renamed.
-///
-/// # Errors
-/// - The file exists and `overwrite` is `Refuse`.
-/// - The system refuses; the temporary file is removed.
-pub fn write_atomically(path: &Path, bytes: &[u8], overwrite: Overwrite) -> Result<()> {
-    let folder = match path.parent() {
-        Some(folder) if !folder.as_os_str().is_empty() => folder,
-        _ => Path::new("."),
-    };
-    let mut file = new_file_in(folder).map_err(Error::io("write in", folder))?;
-    file.write_all(bytes).map_err(Error::io("write", path))?;
-    file.as_file()
-        .sync_all()
-        .map_err(Error::io("write", path))?;
-    let persisted = match overwrite {
-        Overwrite::Replace => file.persist(path),
-        Overwrite::Refuse => {
-            refuse_existing(path)?;
-            file.persist_noclobber(path)
-        }
-    };
-    persisted
-        .map(drop)
-        .map_err(|error| Error::io("write", path)(error.error))
-}
-
-/// A temporary file that others may read as far as the user's mask allows; `tempfile`'s own default
-/// is private.
-fn new_file_in(folder: &Path) -> std::io::Result<tempfile::NamedTempFile> {
-    let mut builder = tempfile::Builder::new();
-    #[cfg(unix)]
-    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    builder.tempfile_in(folder)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::layout::{Group, GroupKind, Unit};
 
     fn group(name: &str, kind: GroupKind, unit: Unit) -> Group {
-        Group {
-            name: name.to_owned(),
-            kind,
-            unit,
-        }
+        Group { name: name.to_owned(), kind, unit }
     }
 
     fn servos() -> Motion {
@@ -319,11 +244,7 @@ mod tests {
         assert!(error.to_string().contains("--force"), "{error}");
         assert_eq!(std::fs::read_to_string(&path).unwrap(), "mine");
         write(&servos(), ExportFormat::Csv, &path, Overwrite::Replace).unwrap();
-        assert!(
-            std::fs::read_to_string(&path)
-                .unwrap()
-                .starts_with("# model.kara")
-        );
+        assert!(std::fs::read_to_string(&path).unwrap().starts_with("# model.kara"));
     }
 
     #[test]
@@ -349,10 +270,7 @@ mod tests {
         let motion = servos();
         let text = csv(&motion);
         let lines: Vec<&str> = text.lines().collect();
-        assert_eq!(
-            lines[1],
-            "# action nod, 0.06 s, seed 18446744073709551615, 50 Hz"
-        );
+        assert_eq!(lines[1], "# action nod, 0.06 s, seed 18446744073709551615, 50 Hz");
         assert_eq!(lines[2], "time_s,jaw_deg,lid_us");
         let values: Vec<f32> = lines[3..]
             .iter()

@@ -205,10 +205,7 @@ impl FloatModel {
     /// `code` (β then α) · `times_frames` (row) · `poses` (row, channel)
     pub fn decode_motion(&self, code: &[f32], times_frames: &[f64], poses: &mut [f32]) {
         let mut tau = vec![0.0; times_frames.len() * self.sinusoid_count()];
-        for (row, &time_frames) in tau
-            .chunks_exact_mut(self.sinusoid_count())
-            .zip(times_frames)
-        {
+        for (row, &time_frames) in tau.chunks_exact_mut(self.sinusoid_count()).zip(times_frames) {
             self.embed_time(time_frames, row);
         }
         let rows = Rows {
@@ -219,9 +216,7 @@ impl FloatModel {
         };
         let mut workspace = Workspace::new(self, 1, times_frames.len(), times_frames.len());
         self.forward(&rows, &mut workspace);
-        for (pose, output) in poses
-            .chunks_exact_mut(self.channel_count())
-            .zip(workspace.outputs())
+        for (pose, output) in poses.chunks_exact_mut(self.channel_count()).zip(workspace.outputs())
         {
             pose.copy_from_slice(output);
         }
@@ -265,10 +260,7 @@ mod tests {
     fn start_weights_stay_inside_one_over_root_fan_in() {
         for layer in paper_model().layers {
             let limit = 1.0 / (layer.input_count as f32).sqrt();
-            let largest = layer
-                .weights
-                .iter()
-                .fold(0.0_f32, |max, w| max.max(w.abs()));
+            let largest = layer.weights.iter().fold(0.0_f32, |max, w| max.max(w.abs()));
             assert!(largest <= limit && largest > 0.99 * limit);
         }
     }

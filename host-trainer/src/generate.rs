@@ -11,12 +11,12 @@ use karakuri::{Decoder, FramePosition, Model, Pcg32, Pose, Workspace};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
+use crate::body::skeleton::Skeleton;
 use crate::checkpoint::Checkpoint;
 use crate::error::{Error, Result};
 use crate::export::Motion;
 use crate::layout::{Group, PoseLayout};
-use crate::mixture_set::MixtureSet;
-use crate::skeleton::Skeleton;
+use crate::mixture::set::MixtureSet;
 
 /// What the user asked for.
 #[derive(Clone, Debug, PartialEq)]
@@ -86,17 +86,13 @@ pub fn generate_blob(path: &Path, model: &Model<'_>, request: &Request) -> Resul
         frames = frames.clamp(*trained.start(), *trained.end());
     }
     let mut random = Pcg32::new(request.seed);
-    let code = model
-        .sample(action, frames, &mut || random.next_u32())
-        .map_err(|_| {
-            let seconds = |frames: u32| f64::from(frames) / rate_hz;
-            outside_training(request, seconds(*trained.start()), seconds(*trained.end()))
-        })?;
-    let mut workspace = Box::new(Workspace::<WORKSPACE_WIDTH>::new());
-    let mut decoder = Decoder::new(model, &mut *workspace).map_err(|reason| Error::Blob {
-        path: path.into(),
-        reason: reason.to_string(),
+    let code = model.sample(action, frames, &mut || random.next_u32()).map_err(|_| {
+        let seconds = |frames: u32| f64::from(frames) / rate_hz;
+        outside_training(request, seconds(*trained.start()), seconds(*trained.end()))
     })?;
+    let mut workspace = Box::new(Workspace::<WORKSPACE_WIDTH>::new());
+    let mut decoder = Decoder::new(model, &mut *workspace)
+        .map_err(|reason| Error::Blob { path: path.into(), reason: reason.to_string() })?;
     decoder.start(&code);
     let (mut pose, mut poses) = (Pose::new(), Vec::new());
     for frame in 0..frames {
@@ -111,11 +107,7 @@ pub fn generate_blob(path: &Path, model: &Model<'_>, request: &Request) -> Resul
         action: request.action.clone(),
         seconds: f64::from(frames) / rate_hz,
         seed: request.seed,
-        provenance: format!(
-            "{} in core's {}",
-            model.manifest().name,
-            model.number_format().name()
-        ),
+        provenance: format!("{} in core's {}", model.manifest().name, model.number_format().name()),
     })
 }
 
@@ -126,9 +118,7 @@ pub fn layout_of(model: &Model<'_>) -> PoseLayout {
         kind: group.kind,
         unit: group.unit,
     });
-    PoseLayout {
-        groups: groups.collect(),
-    }
+    PoseLayout { groups: groups.collect() }
 }
 
 /// The skeleton that a blob carries, if any.
@@ -136,10 +126,7 @@ pub fn skeleton_of(model: &Model<'_>) -> Option<Skeleton> {
     let names: Vec<String> = model.joints().map(|joint| joint.name.into()).collect();
     (!names.is_empty()).then(|| Skeleton {
         names,
-        parents: model
-            .joints()
-            .map(|joint| joint.parent.map(usize::from))
-            .collect(),
+        parents: model.joints().map(|joint| joint.parent.map(usize::from)).collect(),
         offsets: model.joints().map(|joint| joint.offset).collect(),
     })
 }
@@ -150,18 +137,15 @@ fn frames_of(request: &Request, rate_hz: f64) -> usize {
 
 fn find_action<'n>(names: impl Iterator<Item = &'n str>, request: &Request) -> Result<usize> {
     let names: Vec<&str> = names.collect();
-    names
-        .iter()
-        .position(|name| *name == request.action)
-        .ok_or_else(|| {
-            Error::bad_input(
-                "--action",
-                "the action",
-                &request.action,
-                format!("one of {}", names.join(", ")),
-                "choose one of these, or train with clips of it",
-            )
-        })
+    names.iter().position(|name| *name == request.action).ok_or_else(|| {
+        Error::bad_input(
+            "--action",
+            "the action",
+            &request.action,
+            format!("one of {}", names.join(", ")),
+            "choose one of these, or train with clips of it",
+        )
+    })
 }
 
 fn outside_training(request: &Request, seconds_min: f64, seconds_max: f64) -> Error {

@@ -11,10 +11,10 @@ use std::path::Path;
 
 use indicatif::{ProgressBar, ProgressFinish, ProgressIterator, ProgressStyle};
 
+use crate::body::skeleton::Skeleton;
 use crate::clip::{Clip, ClipSet};
 use crate::error::{Error, Result};
 use crate::layout::{PoseLayout, Unit};
-use crate::skeleton::Skeleton;
 
 mod files;
 pub mod labels;
@@ -115,12 +115,7 @@ pub fn read(path: &Path, options: &ImportOptions) -> Result<ClipSet> {
         .into_iter()
         .zip(actions)
         .zip(recordings.poses)
-        .map(|((file, action), poses)| Clip {
-            name: file.name,
-            action,
-            source: file.path,
-            poses,
-        })
+        .map(|((file, action), poses)| Clip { name: file.name, action, source: file.path, poses })
         .collect();
     Ok(ClipSet {
         layout: recordings.layout,
@@ -143,26 +138,14 @@ fn check_flags(format: Format, options: &ImportOptions) -> Result<()> {
     if let Some((flag, _)) = unused.iter().find(|(_, is_unused)| *is_unused) {
         let value = format!("given for {} files", format.extension());
         let expected = "absence: these files say it themselves";
-        return Err(Error::bad_input(
-            flag,
-            "flag",
-            value,
-            expected,
-            "leave it out",
-        ));
+        return Err(Error::bad_input(flag, "flag", value, expected, "leave it out"));
     }
     if let Some(rate_hz) = options.rate_hz {
         check_rate(Path::new("--fps"), rate_hz)?;
     }
     if let Some(scale) = options.scale.filter(|scale| !scale.is_normal()) {
         let expected = "a finite factor other than 0";
-        return Err(Error::bad_input(
-            "--scale",
-            "factor",
-            scale,
-            expected,
-            "correct it",
-        ));
+        return Err(Error::bad_input("--scale", "factor", scale, expected, "correct it"));
     }
     Ok(())
 }
@@ -218,13 +201,7 @@ pub(crate) fn check_poses(
     if frame_count < FRAME_COUNT_MIN {
         let expected = format!("at least {FRAME_COUNT_MIN} frames");
         let remedy = "remove the file or record a longer clip";
-        return Err(Error::bad_input(
-            file,
-            "length",
-            frames(frame_count),
-            expected,
-            remedy,
-        ));
+        return Err(Error::bad_input(file, "length", frames(frame_count), expected, remedy));
     }
     let bad = poses.iter().position(|value| !value.is_finite());
     match bad.filter(|_| !options.tolerate_non_finite) {
@@ -233,13 +210,7 @@ pub(crate) fn check_poses(
             let channel = &layout.channel_names()[index % channel_count];
             let field = format!("frame {}, {channel}", index / channel_count);
             let remedy = "repair or remove the clip; `inspect` lists every such value";
-            Err(Error::bad_input(
-                file,
-                field,
-                poses[index],
-                "a finite number",
-                remedy,
-            ))
+            Err(Error::bad_input(file, field, poses[index], "a finite number", remedy))
         }
     }
 }
@@ -257,32 +228,17 @@ mod tests {
     use super::*;
 
     fn frame_count(set: &ClipSet) -> usize {
-        set.clips
-            .iter()
-            .map(|clip| clip.frame_count(&set.layout))
-            .sum()
+        set.clips.iter().map(|clip| clip.frame_count(&set.layout)).sum()
     }
 
     #[test]
     fn flags_that_the_format_would_ignore_are_refused() {
         let folder = folder(&[("walk.csv", b"time_s,jaw_deg\n0,1\n0.1,2\n")]);
-        let options = ImportOptions {
-            unit: Some(Unit::Degree),
-            ..Default::default()
-        };
-        assert_refused(
-            read(folder.path(), &options),
-            &["--unit", "csv", "leave it out"],
-        );
-        let options = ImportOptions {
-            scale: Some(0.5),
-            ..Default::default()
-        };
+        let options = ImportOptions { unit: Some(Unit::Degree), ..Default::default() };
+        assert_refused(read(folder.path(), &options), &["--unit", "csv", "leave it out"]);
+        let options = ImportOptions { scale: Some(0.5), ..Default::default() };
         assert_refused(read(folder.path(), &options), &["--scale", "csv"]);
-        let options = ImportOptions {
-            names: vec!["jaw".into()],
-            ..Default::default()
-        };
+        let options = ImportOptions { names: vec!["jaw".into()], ..Default::default() };
         assert_refused(read(folder.path(), &options), &["--names", "csv"]);
     }
 
@@ -290,31 +246,20 @@ mod tests {
     fn rates_and_scales_that_nothing_can_have_are_refused() {
         let folder = folder(&[("walk.npy", &npy_f32("(2, 1)", &[0.0, 1.0]))]);
         for rate_hz in [f64::NAN, 0.0, -20.0, 1e9] {
-            let options = ImportOptions {
-                rate_hz: Some(rate_hz),
-                ..Default::default()
-            };
+            let options = ImportOptions { rate_hz: Some(rate_hz), ..Default::default() };
             assert_refused(read(folder.path(), &options), &["--fps", "1.0..=1000.0"]);
         }
         for scale in [f64::NAN, 0.0, f64::INFINITY] {
-            let options = ImportOptions {
-                scale: Some(scale),
-                ..Default::default()
-            };
+            let options = ImportOptions { scale: Some(scale), ..Default::default() };
             assert_refused(read(folder.path(), &options), &["--scale", "finite factor"]);
         }
     }
 
     #[test]
     fn clips_actions_and_sources_stay_together() {
-        let folder = folder(&[
-            ("wave/1.csv", b"jaw_deg\n1\n2\n"),
-            ("nod/1.csv", b"jaw_deg\n3\n4\n"),
-        ]);
-        let options = ImportOptions {
-            rate_hz: Some(50.0),
-            ..Default::default()
-        };
+        let folder =
+            folder(&[("wave/1.csv", b"jaw_deg\n1\n2\n"), ("nod/1.csv", b"jaw_deg\n3\n4\n")]);
+        let options = ImportOptions { rate_hz: Some(50.0), ..Default::default() };
         let set = read(folder.path(), &options).unwrap();
         let seen: Vec<_> = set
             .clips
@@ -330,10 +275,7 @@ mod tests {
         let Some(path) = shared("humanact12") else {
             return;
         };
-        let mut options = ImportOptions {
-            rate_hz: Some(20.0),
-            ..Default::default()
-        };
+        let mut options = ImportOptions { rate_hz: Some(20.0), ..Default::default() };
         options.labels.action_column = Some("coarse".into());
         let set = read(&path, &options).unwrap();
         assert_eq!((set.clips.len(), frame_count(&set)), (1191, 90_099));
@@ -346,11 +288,8 @@ mod tests {
         let Some(path) = shared("cmu_mocap") else {
             return;
         };
-        let options = ImportOptions {
-            rate_hz: Some(12.0),
-            scale: Some(0.05),
-            ..Default::default()
-        };
+        let options =
+            ImportOptions { rate_hz: Some(12.0), scale: Some(0.05), ..Default::default() };
         let set = read(&path, &options).unwrap();
         assert_eq!((set.clips.len(), frame_count(&set)), (970, 185_958));
         assert_eq!(set.remarks, Vec::<String>::new());
@@ -372,10 +311,7 @@ mod tests {
         let Some(path) = shared("reachy_mini_emotions") else {
             return;
         };
-        let groups = concat!(
-            env!("CARGO_MANIFEST_DIR"),
-            "/label-groups/reachy_emotions.toml"
-        );
+        let groups = concat!(env!("CARGO_MANIFEST_DIR"), "/label-groups/reachy_emotions.toml");
         let mut options = ImportOptions::default();
         options.labels.groups = Some(groups.into());
         let set = read(&path, &options).unwrap();
@@ -390,18 +326,10 @@ mod tests {
         let Some(path) = shared("bandai_namco_bvh") else {
             return;
         };
-        let labels = LabelOptions::default()
-            .with_pattern(r"^dataset-\d_([a-z-]+)_")
-            .unwrap();
-        let options = ImportOptions {
-            labels,
-            ..Default::default()
-        };
+        let labels = LabelOptions::default().with_pattern(r"^dataset-\d_([a-z-]+)_").unwrap();
+        let options = ImportOptions { labels, ..Default::default() };
         let set = read(&path, &options).unwrap();
-        assert_eq!(
-            (set.clips.len(), frame_count(&set), set.rate_hz),
-            (60, 8_765, 30.0)
-        );
+        assert_eq!((set.clips.len(), frame_count(&set), set.rate_hz), (60, 8_765, 30.0));
         // One root translation and 21 rotations: the still joint above the hips is folded away.
         assert_eq!(set.layout.channel_count(), 3 + 21 * 6);
         assert_eq!(set.skeleton.unwrap().names[0], "Hips");

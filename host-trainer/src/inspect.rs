@@ -6,6 +6,8 @@
 //! Why here: a wrong unit, a spike or a label with one clip costs an hour of training to notice and
 //! a second to see here.
 
+pub mod blob;
+
 mod rows;
 mod text;
 
@@ -128,15 +130,10 @@ pub struct Place {
 impl ClipReport {
     /// Looks at every value once per row.
     pub fn new(clip_set: &ClipSet) -> Self {
-        let lengths: Vec<usize> = clip_set
-            .clips
-            .iter()
-            .map(|clip| clip.frame_count(&clip_set.layout))
-            .collect();
-        let analysed: Vec<rows::Analysis> = rows::rows(&clip_set.layout)
-            .iter()
-            .map(|row: &Row| row.analyse(clip_set))
-            .collect();
+        let lengths: Vec<usize> =
+            clip_set.clips.iter().map(|clip| clip.frame_count(&clip_set.layout)).collect();
+        let analysed: Vec<rows::Analysis> =
+            rows::rows(&clip_set.layout).iter().map(|row: &Row| row.analyse(clip_set)).collect();
         let jumps = worst_by_frame(analysed.iter().flat_map(|analysis| analysis.jumps.clone()));
         Self {
             rate_hz: clip_set.rate_hz,
@@ -147,24 +144,14 @@ impl ClipReport {
             channel_count: clip_set.layout.channel_count(),
             constant_channels: rows::constant_channels(clip_set),
             non_finite: Places {
-                count: analysed
-                    .iter()
-                    .map(|analysis| analysis.report.non_finite_count)
-                    .sum(),
+                count: analysed.iter().map(|analysis| analysis.report.non_finite_count).sum(),
                 places: rows::first_non_finite(clip_set, PLACES_MAX),
             },
             jumps: Places {
                 count: jumps.len(),
-                places: jumps
-                    .into_iter()
-                    .take(PLACES_MAX)
-                    .map(|jump| jump.place)
-                    .collect(),
+                places: jumps.into_iter().take(PLACES_MAX).map(|jump| jump.place).collect(),
             },
-            rows: analysed
-                .into_iter()
-                .map(|analysis| analysis.report)
-                .collect(),
+            rows: analysed.into_iter().map(|analysis| analysis.report).collect(),
             duplicates: duplicates(clip_set),
             remarks: clip_set.remarks.clone(),
         }
@@ -175,11 +162,7 @@ impl Lengths {
     fn of(mut lengths: Vec<usize>) -> Self {
         lengths.sort_unstable();
         let at = |index: usize| lengths.get(index).copied().unwrap_or(0);
-        Self {
-            min: at(0),
-            median: at(lengths.len() / 2),
-            max: at(lengths.len().saturating_sub(1)),
-        }
+        Self { min: at(0), median: at(lengths.len() / 2), max: at(lengths.len().saturating_sub(1)) }
     }
 }
 
@@ -220,18 +203,10 @@ fn duplicates(clip_set: &ClipSet) -> Vec<Vec<String>> {
     let mut by_digest: HashMap<_, Vec<String>> = HashMap::new();
     for clip in &clip_set.clips {
         let mut digest = Sha256::new();
-        clip.poses
-            .iter()
-            .for_each(|value| digest.update(value.to_le_bytes()));
-        by_digest
-            .entry(digest.finalize())
-            .or_default()
-            .push(clip.name.clone());
+        clip.poses.iter().for_each(|value| digest.update(value.to_le_bytes()));
+        by_digest.entry(digest.finalize()).or_default().push(clip.name.clone());
     }
-    let mut groups: Vec<_> = by_digest
-        .into_values()
-        .filter(|names| names.len() > 1)
-        .collect();
+    let mut groups: Vec<_> = by_digest.into_values().filter(|names| names.len() > 1).collect();
     groups.sort();
     groups
 }
@@ -248,35 +223,20 @@ mod tests {
             kind: GroupKind::Scalar,
             unit: Unit::Degree,
         };
-        PoseLayout {
-            groups: names.iter().map(group).collect(),
-        }
+        PoseLayout { groups: names.iter().map(group).collect() }
     }
 
     fn clip(name: &str, action: &str, poses: Vec<f32>) -> Clip {
-        Clip {
-            name: name.into(),
-            action: action.into(),
-            source: name.into(),
-            poses,
-        }
+        Clip { name: name.into(), action: action.into(), source: name.into(), poses }
     }
 
     fn set(layout: PoseLayout, clips: Vec<Clip>) -> ClipSet {
-        ClipSet {
-            layout,
-            rate_hz: 50.0,
-            skeleton: None,
-            clips,
-            remarks: Vec::new(),
-        }
+        ClipSet { layout, rate_hz: 50.0, skeleton: None, clips, remarks: Vec::new() }
     }
 
     /// A ramp of 1 degree a frame beside a constant.
     fn ramp(frame_count: usize) -> Vec<f32> {
-        (0..frame_count)
-            .flat_map(|frame| [frame as f32, 7.0])
-            .collect()
+        (0..frame_count).flat_map(|frame| [frame as f32, 7.0]).collect()
     }
 
     fn report(clips: Vec<Clip>) -> ClipReport {
@@ -298,10 +258,7 @@ mod tests {
         let report = report(vec![clip("a", "nod", poses)]);
         assert_eq!(report.non_finite.count, 2);
         let place = &report.non_finite.places[0];
-        assert_eq!(
-            (place.clip.as_str(), place.frame, place.row.as_str()),
-            ("a", 3, "jaw_deg")
-        );
+        assert_eq!((place.clip.as_str(), place.frame, place.row.as_str()), ("a", 3, "jaw_deg"));
         assert_eq!(report.rows[0].max, 19.0);
         assert!(report.to_string().contains("a frame 5, lid_deg: inf"));
     }
@@ -312,10 +269,7 @@ mod tests {
         poses[300..].iter_mut().for_each(|value| *value += 20.0);
         let report = report(vec![clip("a", "nod", poses)]);
         assert_eq!((report.jumps.count, report.jumps.places[0].frame), (1, 150));
-        assert_eq!(
-            (report.rows[0].jump_count, report.rows[1].jump_count),
-            (1, 1)
-        );
+        assert_eq!((report.rows[0].jump_count, report.rows[1].jump_count), (1, 1));
     }
 
     #[test]
@@ -333,14 +287,7 @@ mod tests {
         let row = &report.rows[0];
         assert_eq!((row.min, row.max, row.speed_max), (0.0, 19.0, 50.0));
         assert_eq!(report.constant_channels, ["lid_deg"]);
-        assert_eq!(
-            report.frame_counts,
-            Lengths {
-                min: 5,
-                median: 20,
-                max: 20
-            }
-        );
+        assert_eq!(report.frame_counts, Lengths { min: 5, median: 20, max: 20 });
     }
 
     #[test]
@@ -352,17 +299,13 @@ mod tests {
 
     #[test]
     fn scarce_actions_and_missing_labels_are_found() {
-        let mut clips: Vec<Clip> = (0..5)
-            .map(|i| clip(&format!("nod{i}"), "nod", ramp(5 + i)))
-            .collect();
+        let mut clips: Vec<Clip> =
+            (0..5).map(|i| clip(&format!("nod{i}"), "nod", ramp(5 + i))).collect();
         clips.push(clip("bow", "bow", ramp(11)));
         clips.push(clip("what", "", ramp(12)));
         let report = report(clips);
-        let scarce: Vec<_> = report
-            .actions
-            .iter()
-            .map(|action| (action.name.as_str(), action.is_scarce))
-            .collect();
+        let scarce: Vec<_> =
+            report.actions.iter().map(|action| (action.name.as_str(), action.is_scarce)).collect();
         assert_eq!(scarce, [("", true), ("bow", true), ("nod", false)]);
         let text = report.to_string();
         assert!(text.contains("1 clips have no label"), "{text}");

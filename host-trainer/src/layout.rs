@@ -31,10 +31,7 @@ pub struct PoseLayout {
 impl PoseLayout {
     /// Number of channels of one pose.
     pub fn channel_count(&self) -> usize {
-        self.groups
-            .iter()
-            .map(|group| group.kind.channel_count())
-            .sum()
+        self.groups.iter().map(|group| group.kind.channel_count()).sum()
     }
 
     /// Every group with the channels that it occupies.
@@ -48,10 +45,7 @@ impl PoseLayout {
 
     /// One name a channel: `jaw_deg`, `head_x_m`, `neck_r01`.
     pub fn channel_names(&self) -> Vec<String> {
-        self.groups
-            .iter()
-            .flat_map(channel_names_of_group)
-            .collect()
+        self.groups.iter().flat_map(channel_names_of_group).collect()
     }
 }
 
@@ -59,10 +53,9 @@ fn channel_names_of_group(group: &Group) -> Vec<String> {
     let (name, suffix) = (&group.name, group.unit.suffix());
     match group.kind {
         GroupKind::Scalar => vec![format!("{name}_{suffix}")],
-        GroupKind::Translation | GroupKind::Position => ["x", "y", "z"]
-            .iter()
-            .map(|axis| format!("{name}_{axis}_{suffix}"))
-            .collect(),
+        GroupKind::Translation | GroupKind::Position => {
+            ["x", "y", "z"].iter().map(|axis| format!("{name}_{axis}_{suffix}")).collect()
+        }
         GroupKind::Rotation6d => ["r00", "r01", "r02", "r10", "r11", "r12"]
             .iter()
             .map(|element| format!("{name}_{element}"))

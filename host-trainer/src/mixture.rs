@@ -10,6 +10,14 @@
 //! is seeded anew in every call, so all repetitions of its evaluation score one and the same set of
 //! motions, sorted by component.
 
+pub mod interval;
+pub mod k_means;
+pub mod expectation_maximization;
+pub mod collapse;
+pub mod fit;
+pub mod set;
+pub mod file;
+
 use std::f64::consts::TAU;
 
 use rand::{Rng, RngExt};
@@ -78,10 +86,7 @@ pub struct Component {
 
 impl Component {
     fn sample<R: Rng + ?Sized>(&self, rng: &mut R) -> Vec<f64> {
-        let noise: Vec<f64> = StandardNormal
-            .sample_iter(rng)
-            .take(self.mean.len())
-            .collect();
+        let noise: Vec<f64> = StandardNormal.sample_iter(rng).take(self.mean.len()).collect();
         let mut code = self.mean.clone();
         match &self.factor {
             Factor::Full(lower) => {
@@ -191,11 +196,7 @@ mod tests {
         Mixture {
             dimension_count: 3,
             components: components
-                .map(|((mean, factor), weight)| Component {
-                    weight,
-                    mean,
-                    factor,
-                })
+                .map(|((mean, factor), weight)| Component { weight, mean, factor })
                 .collect(),
         }
     }
@@ -208,10 +209,7 @@ mod tests {
     }
 
     fn diagonal() -> Mixture {
-        mixture_of([
-            Factor::Diagonal(vec![1.0, 2.0, 0.7]),
-            Factor::Diagonal(vec![0.4, 0.6, 0.3]),
-        ])
+        mixture_of([Factor::Diagonal(vec![1.0, 2.0, 0.7]), Factor::Diagonal(vec![0.4, 0.6, 0.3])])
     }
 
     /// Element of the covariance L·Lᵀ.
@@ -233,10 +231,7 @@ mod tests {
 
     #[test]
     fn sum_of_nothing_is_minus_infinity_in_the_logarithm() {
-        assert_eq!(
-            log_sum_exp([f64::NEG_INFINITY; 2].into_iter()),
-            f64::NEG_INFINITY
-        );
+        assert_eq!(log_sum_exp([f64::NEG_INFINITY; 2].into_iter()), f64::NEG_INFINITY);
         assert_eq!(log_sum_exp([-1e7, -1e7].into_iter()), -1e7 + 2f64.ln());
     }
 
@@ -284,14 +279,8 @@ mod tests {
         let mut rng = ChaCha8Rng::seed_from_u64(2);
         let codes: Vec<_> = (0..1000).map(|_| mixture.sample(&mut rng)).collect();
         let is_first: Vec<bool> = codes.iter().map(|code| code[1] < 1.0).collect();
-        let changes = is_first
-            .windows(2)
-            .filter(|pair| pair[0] != pair[1])
-            .count();
-        assert!(
-            (300..450).contains(&changes),
-            "{changes} changes of 375 expected"
-        );
+        let changes = is_first.windows(2).filter(|pair| pair[0] != pair[1]).count();
+        assert!((300..450).contains(&changes), "{changes} changes of 375 expected");
         assert!(codes.windows(2).all(|pair| pair[0] != pair[1]));
     }
 }

@@ -4,12 +4,16 @@
 //! Out: an SVG contact sheet: skeleton figures over time for bodies, small curves for everything
 //! else.
 
+pub mod svg;
+pub mod view;
+pub mod stick_figures;
+pub mod curves;
+
 use std::path::Path;
 
-use crate::curves;
+use crate::atomic_file::{self, Overwrite};
 use crate::error::{Error, Result};
-use crate::export::{Motion, Overwrite, write_atomically};
-use crate::stick_figures;
+use crate::export::Motion;
 
 /// Draws a contact sheet.
 ///
@@ -53,14 +57,14 @@ pub fn contact_sheet(motions: &[Motion], title: &str) -> Result<String> {
 /// Those of [`contact_sheet`] and of writing.
 pub fn write(motions: &[Motion], title: &str, path: &Path, overwrite: Overwrite) -> Result<()> {
     let sheet = contact_sheet(motions, title)?;
-    write_atomically(path, sheet.as_bytes(), overwrite)
+    atomic_file::write(path, sheet.as_bytes(), overwrite)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::body::skeleton::Skeleton;
     use crate::layout::{Group, GroupKind, PoseLayout, Unit};
-    use crate::skeleton::Skeleton;
 
     fn motion(kinds: &[GroupKind], frame_count: usize) -> Motion {
         let groups = kinds
@@ -96,10 +100,7 @@ mod tests {
 
     #[test]
     fn motions_of_different_layouts_are_refused() {
-        let two = [
-            motion(&[GroupKind::Scalar], 3),
-            motion(&[GroupKind::Position], 3),
-        ];
+        let two = [motion(&[GroupKind::Scalar], 3), motion(&[GroupKind::Position], 3)];
         let error = contact_sheet(&two, "t").unwrap_err().to_string();
         assert!(error.contains("motion 1"), "{error}");
     }

@@ -6,6 +6,10 @@
 //! Standardisation is folded into the last layer, so that the device's channels come out in channel units; layer 1 is
 //! split into its code half and its time half. Offsets are `karakuri::blob`'s business.
 
+pub mod calibrate;
+pub mod layer;
+pub mod sampler;
+
 use std::f64::consts::TAU;
 
 use half::f16;
@@ -13,17 +17,17 @@ use karakuri::manifest::{
     ActivationScale, CODE_LAYER, Group, Joint, LayerShape, Manifest, NumberFormat, Packing,
     Provenance, SamplerKind, TIME_LAYER, TensorKind,
 };
-use karakuri::{Model, blob::BlobParts};
+use karakuri::{Model, blob::BlobParts, limits};
 
-use crate::calibrate::{CalibrationCase, Observed, calibrate};
 use crate::dataset::DatasetDescription;
 use crate::error::{Error, Result};
 use crate::float_model::{CodeTable, DenseLayer, FloatModel};
-use crate::mixture_set::MixtureSet;
-use crate::quantize_layer::{
+use crate::mixture::set::MixtureSet;
+use crate::quantize::calibrate::{Observed, calibrate, calibration_cases};
+use crate::quantize::layer::{
     InputScale, IntegerLayer, activation_scale, quantize_layer, requantizer_of,
 };
-use crate::quantize_sampler::{code_fraction_bits, quantize_sampler};
+use crate::quantize::sampler::{code_fraction_bits, quantize_sampler};
 
 /// What becomes a blob.
 #[derive(Clone, Copy)]
@@ -62,29 +66,20 @@ pub fn quantize(
     sampler_kind: SamplerKind,
 ) -> Result<Quantized> {
     let fraction_bits = code_fraction_bits([input.sequence_codes, input.action_codes]);
-    let sampler = quantize_sampler(
-        sampler_kind,
-        input.sequence_codes,
-        input.mixtures,
-        fraction_bits,
-    );
+    let sampler =
+        quantize_sampler(sampler_kind, input.sequence_codes, input.mixtures, fraction_bits);
     let layers = split_layers(input.model, input.dataset);
+    check_fits(&layers, input)?;
     let quantized = match format {
         NumberFormat::F16 => half_layers(&layers)?,
         NumberFormat::W8A16 | NumberFormat::W8A8 => {
-            integer_layers(input, &layers, format, fraction_bits)
+            integer_layers(input, &layers, format, fraction_bits)?
         }
     };
     let mut tensors = sampler.tensors;
     tensors.extend(quantized.tensors);
-    tensors.push((
-        TensorKind::Frequencies,
-        frequency_bytes(&input.model.frequencies_rad),
-    ));
-    tensors.push((
-        TensorKind::ActionCodes,
-        action_code_bytes(input.action_codes, fraction_bits),
-    ));
+    tensors.push((TensorKind::Frequencies, frequency_bytes(&input.model.frequencies_rad)));
+    tensors.push((TensorKind::ActionCodes, action_code_bytes(input.action_codes, fraction_bits)));
     let dataset = input.dataset;
     let manifest = Manifest {
         name: input.name,
@@ -93,10 +88,7 @@ pub fn quantize(
         rate_millihz: (dataset.rate_hz * 1000.0).round() as u32,
         group_count: dataset.layout.groups.len() as u16,
         action_count: dataset.actions.len() as u16,
-        joint_count: dataset
-            .skeleton
-            .as_ref()
-            .map_or(0, |skeleton| skeleton.names.len() as u16),
+        joint_count: dataset.skeleton.as_ref().map_or(0, |skeleton| skeleton.names.len() as u16),
         sequence_code_count: input.model.sequence_code_count as u16,
         action_code_count: input.model.action_code_count as u16,
         code_fraction_bits: fraction_bits,
@@ -106,10 +98,35 @@ pub fn quantize(
         provenance: input.provenance,
     };
     let blob = emit(&manifest, dataset, &tensors)?;
-    Ok(Quantized {
-        blob,
-        accumulator_use: quantized.accumulator_use,
-    })
+    Ok(Quantized { blob, accumulator_use: quantized.accumulator_use })
+}
+
+/// Refuses what the manifest's 16-bit counts and bounded list of layers could not even say.
+fn check_fits(layers: &[DenseLayer], input: &QuantizeInput<'_>) -> Result<()> {
+    let widest =
+        layers.iter().map(|layer| layer.input_count.max(layer.output_count)).max().unwrap_or(0);
+    let skeleton = input.dataset.skeleton.as_ref();
+    let counts = [
+        ("layers", layers.len(), limits::LAYERS_MAX),
+        ("widest layer", widest, limits::WIDTH_MAX),
+        ("channels", input.dataset.layout.channel_count(), limits::CHANNELS_MAX),
+        ("numbers of a code", input.model.code_count(), limits::CODE_MAX),
+        ("sinusoids", input.model.sinusoid_count(), limits::SINUSOIDS_MAX),
+        ("actions", input.dataset.actions.len(), limits::NAMES_MAX),
+        ("joints", skeleton.map_or(0, |skeleton| skeleton.names.len()), limits::NAMES_MAX),
+        ("clips", input.dataset.clips.len(), usize::from(u16::MAX)),
+        ("length intervals", input.mixtures.intervals.len(), usize::from(u16::MAX)),
+    ];
+    match counts.into_iter().find(|&(_, count, max)| count > max) {
+        None => Ok(()),
+        Some((field, count, max)) => Err(Error::bad_input(
+            input.name,
+            field,
+            count,
+            format!("at most {max}, the device's limit"),
+            "train a smaller model",
+        )),
+    }
 }
 
 /// Layers as the device has them: code half, time half (without bias), the others; the last in channel units.
@@ -133,10 +150,7 @@ fn split_layers(model: &FloatModel, dataset: &DatasetDescription) -> Vec<DenseLa
     layers.extend(model.layers[1..].iter().cloned());
     if let Some(last) = layers.last_mut() {
         let standardization = dataset.mean.iter().zip(&dataset.scale);
-        let rows = last
-            .weights
-            .chunks_exact_mut(last.input_count)
-            .zip(&mut last.bias);
+        let rows = last.weights.chunks_exact_mut(last.input_count).zip(&mut last.bias);
         for ((weights, bias), (mean, scale)) in rows.zip(standardization) {
             weights.iter_mut().for_each(|weight| *weight *= scale);
             *bias = *bias * scale + mean;
@@ -162,10 +176,8 @@ fn shape_of(layer: &DenseLayer, activation: ActivationScale) -> LayerShape {
 fn half_layers(layers: &[DenseLayer]) -> Result<QuantizedLayers> {
     let mut tensors = Vec::new();
     for (index, layer) in layers.iter().enumerate() {
-        if let Some(weight) = layer
-            .weights
-            .iter()
-            .find(|&&weight| !f16::from_f32(weight).is_finite())
+        if let Some(weight) =
+            layer.weights.iter().find(|&&weight| !f16::from_f32(weight).is_finite())
         {
             return Err(Error::bad_input(
                 "checkpoint",
@@ -175,30 +187,16 @@ fn half_layers(layers: &[DenseLayer]) -> Result<QuantizedLayers> {
                 "quantise to w8a16, or lower the learning rate and train again",
             ));
         }
-        let weights = layer
-            .weights
-            .iter()
-            .flat_map(|&weight| f16::from_f32(weight).to_le_bytes())
-            .collect();
+        let weights =
+            layer.weights.iter().flat_map(|&weight| f16::from_f32(weight).to_le_bytes()).collect();
         tensors.push((TensorKind::Weights(index), weights));
         if index != TIME_LAYER {
-            let bias = layer
-                .bias
-                .iter()
-                .flat_map(|bias| bias.to_le_bytes())
-                .collect();
+            let bias = layer.bias.iter().flat_map(|bias| bias.to_le_bytes()).collect();
             tensors.push((TensorKind::Bias(index), bias));
         }
     }
-    let shapes = layers
-        .iter()
-        .map(|layer| shape_of(layer, ActivationScale::default()))
-        .collect();
-    Ok(QuantizedLayers {
-        shapes,
-        tensors,
-        accumulator_use: Vec::new(),
-    })
+    let shapes = layers.iter().map(|layer| shape_of(layer, ActivationScale::default())).collect();
+    Ok(QuantizedLayers { shapes, tensors, accumulator_use: Vec::new() })
 }
 
 fn integer_layers(
@@ -206,14 +204,18 @@ fn integer_layers(
     layers: &[DenseLayer],
     format: NumberFormat,
     fraction_bits: u8,
-) -> QuantizedLayers {
-    let observed = calibrate(input.model, &calibration_cases(input));
+) -> Result<QuantizedLayers> {
+    let cases = calibration_cases(
+        input.sequence_codes,
+        input.action_codes,
+        input.dataset,
+        input.mixtures,
+        input.provenance.seed,
+    )?;
+    let observed = calibrate(input.model, &cases);
     let inputs = input_scales(&observed, format, fraction_bits);
-    let mut result = QuantizedLayers {
-        shapes: Vec::new(),
-        tensors: Vec::new(),
-        accumulator_use: Vec::new(),
-    };
+    let mut result =
+        QuantizedLayers { shapes: Vec::new(), tensors: Vec::new(), accumulator_use: Vec::new() };
     let mut time_half = Vec::new();
     // The time half first: the code half is requantised to its accumulators.
     for index in (0..layers.len()).rev() {
@@ -229,40 +231,22 @@ fn integer_layers(
                 .map(|(scale, time)| scale / time)
                 .collect(),
             // Pre-activations (for ELU) and channels are both Q15.16.
-            _ => quantized
-                .accumulator_scales
-                .iter()
-                .map(|scale| scale * 65_536.0)
-                .collect(),
+            _ => quantized.accumulator_scales.iter().map(|scale| scale * 65_536.0).collect(),
         };
         if index == TIME_LAYER {
             time_half.clone_from(&quantized.accumulator_scales);
         }
-        let next = if index == CODE_LAYER {
-            None
-        } else {
-            inputs.get(index + 1)
-        };
+        let next = if index == CODE_LAYER { None } else { inputs.get(index + 1) };
         result.shapes.insert(
             0,
-            shape_of(
-                &layers[index],
-                next.map_or_else(Default::default, stored_activation),
-            ),
-        );
-        result.accumulator_use.insert(
-            0,
-            quantized
-                .accumulator_use
-                .iter()
-                .copied()
-                .fold(0.0, f64::max),
+            shape_of(&layers[index], next.map_or_else(Default::default, stored_activation)),
         );
         result
-            .tensors
-            .extend(layer_tensors(index, &quantized, &factors));
+            .accumulator_use
+            .insert(0, quantized.accumulator_use.iter().copied().fold(0.0, f64::max));
+        result.tensors.extend(layer_tensors(index, &quantized, &factors));
     }
-    result
+    Ok(result)
 }
 
 /// How the inputs of every layer are stored.
@@ -273,24 +257,15 @@ fn input_scales(observed: &[Observed], format: NumberFormat, fraction_bits: u8) 
         magnitude_max: 1 << 15,
     };
     let one = i64::from(format.sinusoid_one());
-    let time = InputScale {
-        scale: 1.0 / one as f64,
-        zero_point: 0,
-        magnitude_max: one,
-    };
-    let hidden = observed
-        .iter()
-        .map(|observed| activation_scale(observed, format.activation_range()));
+    let time = InputScale { scale: 1.0 / one as f64, zero_point: 0, magnitude_max: one };
+    let hidden =
+        observed.iter().map(|observed| activation_scale(observed, format.activation_range()));
     [code, time].into_iter().chain(hidden).collect()
 }
 
 fn stored_activation(next: &InputScale) -> ActivationScale {
     let (multiplier, shift) = requantizer_of(1.0 / (65_536.0 * next.scale)).parts();
-    ActivationScale {
-        multiplier,
-        shift,
-        zero_point: next.zero_point,
-    }
+    ActivationScale { multiplier, shift, zero_point: next.zero_point }
 }
 
 fn layer_tensors(
@@ -298,107 +273,36 @@ fn layer_tensors(
     layer: &IntegerLayer,
     factors: &[f64],
 ) -> Vec<(TensorKind, Vec<u8>)> {
-    let parts: Vec<(i32, i8)> = factors
-        .iter()
-        .map(|&factor| requantizer_of(factor).parts())
-        .collect();
+    let parts: Vec<(i32, i8)> =
+        factors.iter().map(|&factor| requantizer_of(factor).parts()).collect();
     let mut tensors = vec![
         (
             TensorKind::Weights(index),
-            layer
-                .weights
-                .iter()
-                .map(|weight| weight.cast_unsigned())
-                .collect(),
+            layer.weights.iter().map(|weight| weight.cast_unsigned()).collect(),
         ),
         (
             TensorKind::Multipliers(index),
             parts.iter().flat_map(|part| part.0.to_le_bytes()).collect(),
         ),
-        (
-            TensorKind::Shifts(index),
-            parts.iter().map(|part| part.1.cast_unsigned()).collect(),
-        ),
+        (TensorKind::Shifts(index), parts.iter().map(|part| part.1.cast_unsigned()).collect()),
     ];
     if index != TIME_LAYER {
         tensors.push((
             TensorKind::Bias(index),
-            layer
-                .bias
-                .iter()
-                .flat_map(|bias| bias.to_le_bytes())
-                .collect(),
+            layer.bias.iter().flat_map(|bias| bias.to_le_bytes()).collect(),
         ));
     }
     tensors
 }
 
-/// Clips' own codes and draws from their Gaussians, a few frames of each, at most some thousand decodings.
-fn calibration_cases(input: &QuantizeInput<'_>) -> Vec<CalibrationCase> {
-    const CASES_MAX: usize = 600;
-    const FRAMES: usize = 8;
-    let clips = &input.dataset.clips;
-    let stride = clips.len().div_ceil(CASES_MAX / 2).max(1);
-    let mut random = karakuri::Pcg32::new(input.provenance.seed);
-    let mut cases = Vec::new();
-    for (row, clip) in clips.iter().enumerate().step_by(stride) {
-        let frames: Vec<f64> = (0..FRAMES)
-            .map(|i| (clip.frame_count - 1) as f64 * i as f64 / (FRAMES - 1) as f64)
-            .collect();
-        let alpha = row_of(
-            &input.action_codes.mean,
-            input.action_codes.dimension_count,
-            clip.action,
-        );
-        let mean = row_of(
-            &input.sequence_codes.mean,
-            input.sequence_codes.dimension_count,
-            row,
-        );
-        let spread = row_of(
-            &input.sequence_codes.log_variance,
-            input.sequence_codes.dimension_count,
-            row,
-        );
-        let drawn = mean.iter().zip(spread).map(|(mean, log_variance)| {
-            // Sum of 12 uniforms: a Gaussian good enough to find ranges.
-            let noise: f32 = (0..12)
-                .map(|_| random.next_u32() as f32 / u32::MAX as f32)
-                .sum::<f32>()
-                - 6.0;
-            mean + noise * (0.5 * log_variance).exp()
-        });
-        let codes = [mean.to_vec(), drawn.collect()];
-        cases.extend(codes.into_iter().map(|mut code| {
-            code.extend(alpha);
-            CalibrationCase {
-                code,
-                frames: frames.clone(),
-            }
-        }));
-    }
-    cases
-}
-
-fn row_of(table: &[f32], width: usize, row: usize) -> &[f32] {
-    &table[row * width..(row + 1) * width]
-}
-
 fn frequency_bytes(frequencies_rad: &[f64]) -> Vec<u8> {
     let step = |rate_rad: &f64| (rate_rad / TAU * 2f64.powi(32)).round() as u64 as u32;
-    frequencies_rad
-        .iter()
-        .flat_map(|rate_rad| step(rate_rad).to_le_bytes())
-        .collect()
+    frequencies_rad.iter().flat_map(|rate_rad| step(rate_rad).to_le_bytes()).collect()
 }
 
 fn action_code_bytes(codes: &CodeTable, fraction_bits: u8) -> Vec<u8> {
     let one = f32::from(1u16 << fraction_bits);
-    codes
-        .mean
-        .iter()
-        .flat_map(|value| ((value * one).round() as i16).to_le_bytes())
-        .collect()
+    codes.mean.iter().flat_map(|value| ((value * one).round() as i16).to_le_bytes()).collect()
 }
 
 fn emit(
@@ -410,18 +314,12 @@ fn emit(
         .layout
         .groups
         .iter()
-        .map(|group| Group {
-            name: &group.name,
-            kind: group.kind,
-            unit: group.unit,
-        })
+        .map(|group| Group { name: &group.name, kind: group.kind, unit: group.unit })
         .collect();
     let actions: Vec<&str> = dataset.actions.iter().map(String::as_str).collect();
     let joints: Vec<Joint<'_>> = dataset.skeleton.iter().flat_map(joints_of).collect();
-    let tensors: Vec<(TensorKind, &[u8])> = tensors
-        .iter()
-        .map(|(kind, bytes)| (*kind, bytes.as_slice()))
-        .collect();
+    let tensors: Vec<(TensorKind, &[u8])> =
+        tensors.iter().map(|(kind, bytes)| (*kind, bytes.as_slice())).collect();
     let parts = BlobParts {
         manifest,
         groups: &groups,
@@ -429,18 +327,9 @@ fn emit(
         joints: &joints,
         tensors: &tensors,
     };
-    let names: usize = groups
-        .iter()
-        .map(|group| group.name.len() + 16)
-        .sum::<usize>()
-        + actions
-            .iter()
-            .map(|action| action.len() + 16)
-            .sum::<usize>()
-        + joints
-            .iter()
-            .map(|joint| joint.name.len() + 32)
-            .sum::<usize>();
+    let names: usize = groups.iter().map(|group| group.name.len() + 16).sum::<usize>()
+        + actions.iter().map(|action| action.len() + 16).sum::<usize>()
+        + joints.iter().map(|joint| joint.name.len() + 32).sum::<usize>();
     let space: usize = tensors.iter().map(|(_, bytes)| bytes.len() + 16).sum();
     let mut blob = vec![0; space + names + manifest.name.len() + 4096];
     let refuse = |reason: karakuri::BlobError| Error::Blob {
@@ -453,12 +342,8 @@ fn emit(
     Ok(blob)
 }
 
-fn joints_of(skeleton: &crate::skeleton::Skeleton) -> impl Iterator<Item = Joint<'_>> {
-    let joints = skeleton
-        .names
-        .iter()
-        .zip(&skeleton.parents)
-        .zip(&skeleton.offsets);
+fn joints_of(skeleton: &crate::body::skeleton::Skeleton) -> impl Iterator<Item = Joint<'_>> {
+    let joints = skeleton.names.iter().zip(&skeleton.parents).zip(&skeleton.offsets);
     joints.map(|((name, parent), &offset)| Joint {
         name,
         parent: parent.map(|parent| parent as u16),

@@ -11,11 +11,11 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::body::Body;
+use crate::body::rotation::{Rotation, Vector, length, subtract};
 use crate::checkpoint::Checkpoint;
 use crate::dataset::{Dataset, DatasetDescription};
 use crate::layout::GroupKind;
-use crate::metrics::report_unit;
-use crate::rotation::{Rotation, Vector, length, subtract};
+use crate::train::metrics::report_unit;
 
 /// Where poses come from.
 #[derive(Clone, Copy)]
@@ -85,25 +85,14 @@ pub fn reconstruct(
     let body = Body::new(&description.layout, description.skeleton.as_ref());
     let clips = 0..description.clips.len();
     let sums = clips.into_par_iter().map(|clip| {
-        let frames: Vec<usize> = (0..description.clips[clip].frame_count)
-            .step_by(stride.max(1))
-            .collect();
+        let frames: Vec<usize> =
+            (0..description.clips[clip].frame_count).step_by(stride.max(1)).collect();
         let decoded = decode_clip(checkpoint, source, description, clip, &frames);
         let mut original = dataset.clip_poses(clip).to_vec();
         description.destandardize(&mut original);
-        compare(
-            description,
-            body.as_ref(),
-            bones.get(clip),
-            &original,
-            &decoded,
-            &frames,
-        )
+        compare(description, body.as_ref(), bones.get(clip), &original, &decoded, &frames)
     });
-    let sums = sums
-        .collect::<Vec<_>>()
-        .into_iter()
-        .fold(Sums::default(), Sums::add);
+    let sums = sums.collect::<Vec<_>>().into_iter().fold(Sums::default(), Sums::add);
     sums.finish(description, body.is_some())
 }
 
@@ -147,10 +136,8 @@ fn compare(
     frames: &[usize],
 ) -> Sums {
     let width = description.layout.channel_count();
-    let mut sums = Sums {
-        groups: vec![(0.0, 0.0, 0.0); description.layout.groups.len()],
-        ..Sums::default()
-    };
+    let mut sums =
+        Sums { groups: vec![(0.0, 0.0, 0.0); description.layout.groups.len()], ..Sums::default() };
     for (decoded, &frame) in decoded.chunks_exact(width).zip(frames) {
         let original = &original[frame * width..(frame + 1) * width];
         sums.frame_count += 1;
@@ -176,10 +163,7 @@ fn group_error(kind: GroupKind, original: &[f32], decoded: &[f32]) -> f64 {
             |channels: &[f32]| Rotation::from_6d(&std::array::from_fn(|i| f64::from(channels[i])));
         return rotation(original).angle_to_rad(&rotation(decoded));
     }
-    let squares = original
-        .iter()
-        .zip(decoded)
-        .map(|(a, b)| f64::from(a - b).powi(2));
+    let squares = original.iter().zip(decoded).map(|(a, b)| f64::from(a - b).powi(2));
     squares.sum::<f64>().sqrt()
 }
 
@@ -199,8 +183,7 @@ impl Sums {
 
     fn add(mut self, other: Self) -> Self {
         self.frame_count += other.frame_count;
-        self.groups
-            .resize(other.groups.len().max(self.groups.len()), (0.0, 0.0, 0.0));
+        self.groups.resize(other.groups.len().max(self.groups.len()), (0.0, 0.0, 0.0));
         for (sum, add) in self.groups.iter_mut().zip(other.groups) {
             *sum = (sum.0 + add.0, sum.1 + add.1, sum.2 + add.2);
         }
@@ -250,20 +233,11 @@ impl Sums {
 
 fn root_unit(description: &DatasetDescription) -> Option<Unit> {
     let is_length = |kind| matches!(kind, GroupKind::Translation | GroupKind::Position);
-    description
-        .layout
-        .groups
-        .iter()
-        .find(|group| is_length(group.kind))
-        .map(|group| group.unit)
+    description.layout.groups.iter().find(|group| is_length(group.kind)).map(|group| group.unit)
 }
 
 /// The unit of a kind's error magnitudes in reports, and the factor to it.
 fn magnitude_unit(kind: GroupKind, unit: Unit) -> (&'static str, f64) {
     // The difference between rotations is an angle, whatever unit its channels have.
-    report_unit(if kind == GroupKind::Rotation6d {
-        Unit::Radian
-    } else {
-        unit
-    })
+    report_unit(if kind == GroupKind::Rotation6d { Unit::Radian } else { unit })
 }

@@ -7,16 +7,18 @@
 //! Why here: the decoder learns what it is given. Positions are simplest and exact; rotations can
 //! be sent to motors and keep bones rigid.
 
+pub mod rotations;
+
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::body::Body;
+use crate::body::rotation::{Vector, subtract};
+use crate::body::skeleton::Skeleton;
 use crate::clip::{Clip, ClipSet};
 use crate::error::{Error, Result};
 use crate::layout::{Group, GroupKind, PoseLayout, Unit};
-use crate::represent_rotations::rotations;
-use crate::rotation::{Vector, subtract};
-use crate::skeleton::Skeleton;
+use crate::represent::rotations::rotations;
 
 pub use crate::body::to_joint_positions;
 
@@ -91,12 +93,7 @@ pub(crate) fn source_of(clip_set: &ClipSet) -> &std::path::Path {
 
 fn check_body(clip_set: &ClipSet) -> Result<Body> {
     let body = Body::new(&clip_set.layout, clip_set.skeleton.as_ref()).ok_or_else(|| {
-        let kinds: Vec<&str> = clip_set
-            .layout
-            .groups
-            .iter()
-            .map(|g| g.kind.name())
-            .collect();
+        let kinds: Vec<&str> = clip_set.layout.groups.iter().map(|g| g.kind.name()).collect();
         Error::bad_input(
             source_of(clip_set),
             "channel groups",
@@ -131,9 +128,7 @@ fn since_first_root(body: &Body, layout: &PoseLayout, clip: &Clip) -> Vec<Vec<Ve
 /// Rotations of the source stay what they are, twist included; only the root starts at zero.
 fn rebase_roots(mut clip_set: ClipSet) -> ClipSet {
     let layout = &clip_set.layout;
-    let root = layout
-        .ranges()
-        .find(|(group, _)| group.kind == GroupKind::Translation);
+    let root = layout.ranges().find(|(group, _)| group.kind == GroupKind::Translation);
     let root = root.map_or(0..0, |(_, range)| range);
     for clip in &mut clip_set.clips {
         let start: Vec<f32> = clip.poses.get(root.clone()).unwrap_or_default().to_vec();
@@ -155,32 +150,17 @@ pub(crate) fn body_layout(
     let of_position = |group: &&Group| group.kind != GroupKind::Rotation6d;
     let length = clip_set.layout.groups.iter().find(of_position);
     let length = length.map_or(Unit::Metre, |group| group.unit);
-    let unit = if kind == GroupKind::Rotation6d {
-        Unit::One
-    } else {
-        length
-    };
-    let root = Group {
-        name: ROOT_NAME.to_owned(),
-        kind: GroupKind::Translation,
-        unit: length,
-    };
+    let unit = if kind == GroupKind::Rotation6d { Unit::One } else { length };
+    let root = Group { name: ROOT_NAME.to_owned(), kind: GroupKind::Translation, unit: length };
     let others = names.into_iter().map(|name| Group { name, kind, unit });
-    PoseLayout {
-        groups: std::iter::once(root).chain(others).collect(),
-    }
+    PoseLayout { groups: std::iter::once(root).chain(others).collect() }
 }
 
 /// The skeleton's names, else the groups'; "root" is the translation's and never a joint's.
 pub(crate) fn joint_names(clip_set: &ClipSet) -> Vec<String> {
     let mut names: Vec<String> = match &clip_set.skeleton {
         Some(skeleton) => skeleton.names.clone(),
-        None => clip_set
-            .layout
-            .groups
-            .iter()
-            .map(|group| group.name.clone())
-            .collect(),
+        None => clip_set.layout.groups.iter().map(|group| group.name.clone()).collect(),
     };
     if let Some(name) = names.iter_mut().find(|name| *name == ROOT_NAME) {
         name.push_str("_joint");
@@ -193,9 +173,7 @@ fn positions(mut clip_set: ClipSet, joints: Vec<Vec<Vec<Vector>>>) -> ClipSet {
     clip_set.layout = body_layout(&clip_set, GroupKind::Position, names);
     for (clip, frames) in clip_set.clips.iter_mut().zip(joints) {
         let relative = frames.iter().flat_map(|positions| {
-            let others = positions[1..]
-                .iter()
-                .map(|position| subtract(*position, positions[0]));
+            let others = positions[1..].iter().map(|position| subtract(*position, positions[0]));
             std::iter::once(positions[0]).chain(others)
         });
         clip.poses = relative.flatten().map(|element| element as f32).collect();
@@ -206,7 +184,7 @@ fn positions(mut clip_set: ClipSet, joints: Vec<Vec<Vec<Vector>>>) -> ClipSet {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::kinematics::joint_distances;
+    use crate::body::kinematics::joint_distances;
     use std::path::{Path, PathBuf};
 
     fn absolute_layout(joint_count: usize) -> PoseLayout {
@@ -231,12 +209,7 @@ mod tests {
     }
 
     fn clip(name: &str, poses: Vec<f32>) -> Clip {
-        Clip {
-            name: name.to_owned(),
-            action: "a".to_owned(),
-            source: PathBuf::from(name),
-            poses,
-        }
+        Clip { name: name.to_owned(), action: "a".to_owned(), source: PathBuf::from(name), poses }
     }
 
     /// A path below `shared/`, or `None` with a loud word when this machine has no such data.
@@ -259,10 +232,8 @@ mod tests {
 
     /// Every `step`-th clip of a folder of `.npy` files.
     fn npy_clips(folder: &Path, joint_count: usize, step: usize) -> ClipSet {
-        let mut files: Vec<PathBuf> = std::fs::read_dir(folder)
-            .unwrap()
-            .map(|entry| entry.unwrap().path())
-            .collect();
+        let mut files: Vec<PathBuf> =
+            std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();
         files.sort();
         let clips = files
             .iter()
@@ -276,9 +247,7 @@ mod tests {
     fn servo_channels_are_refused_as_positions() {
         let mut set = clip_set(2, vec![clip("c", vec![0.0; 12])]);
         set.layout.groups[1].kind = GroupKind::Scalar;
-        let error = represent(set, Representation::Positions, None)
-            .unwrap_err()
-            .to_string();
+        let error = represent(set, Representation::Positions, None).unwrap_err().to_string();
         assert!(error.contains("as-is"), "{error}");
     }
 
@@ -286,19 +255,14 @@ mod tests {
     fn skeleton_of_another_size_is_refused() {
         let set = clip_set(2, vec![clip("c", vec![0.0; 12])]);
         let skeleton = Some(Skeleton::smpl24());
-        let error = represent(set, Representation::Rotations, skeleton)
-            .unwrap_err()
-            .to_string();
+        let error = represent(set, Representation::Rotations, skeleton).unwrap_err().to_string();
         assert!(error.contains("joints is 2, expected 24"), "{error}");
     }
 
     #[test]
     fn as_is_changes_no_channel() {
         let set = clip_set(2, vec![clip("c", (0..12).map(|x| x as f32).collect())]);
-        assert_eq!(
-            represent(set.clone(), Representation::AsIs, None).unwrap(),
-            set
-        );
+        assert_eq!(represent(set.clone(), Representation::AsIs, None).unwrap(), set);
     }
 
     #[test]
@@ -317,21 +281,13 @@ mod tests {
 
     #[test]
     fn rotations_of_the_source_keep_their_twist() {
-        let groups = [
-            ("root", GroupKind::Translation),
-            ("hip", GroupKind::Rotation6d),
-        ];
-        let groups = groups.map(|(name, kind)| Group {
-            name: name.to_owned(),
-            kind,
-            unit: Unit::Metre,
-        });
+        let groups = [("root", GroupKind::Translation), ("hip", GroupKind::Rotation6d)];
+        let groups =
+            groups.map(|(name, kind)| Group { name: name.to_owned(), kind, unit: Unit::Metre });
         let twist = [0.0, 0.0, 1.0, 0.0, 1.0, 0.0];
         let pose = |x: f32| [[x, 2.0, 3.0].as_slice(), &twist].concat();
         let mut set = clip_set(1, vec![clip("c", [pose(5.0), pose(7.0)].concat())]);
-        set.layout = PoseLayout {
-            groups: groups.to_vec(),
-        };
+        set.layout = PoseLayout { groups: groups.to_vec() };
         set.skeleton = Some(Skeleton {
             names: vec!["hip".to_owned()],
             parents: vec![None],

@@ -12,10 +12,7 @@ pub struct Table {
 impl Table {
     /// An empty table.
     pub fn new<const COLUMNS: usize>(header: [&str; COLUMNS]) -> Self {
-        Self {
-            header: header.map(String::from).to_vec(),
-            rows: Vec::new(),
-        }
+        Self { header: header.map(String::from).to_vec(), rows: Vec::new() }
     }
 
     /// Appends a row.
@@ -25,11 +22,7 @@ impl Table {
 
     fn widths(&self) -> Vec<usize> {
         let width = |column: usize| {
-            let cells = self
-                .rows
-                .iter()
-                .chain([&self.header])
-                .filter_map(|row| row.get(column));
+            let cells = self.rows.iter().chain([&self.header]).filter_map(|row| row.get(column));
             cells.map(|cell| cell.chars().count()).max().unwrap_or(0)
         };
         (0..self.header.len()).map(width).collect()
@@ -40,17 +33,9 @@ impl fmt::Display for Table {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let widths = self.widths();
         let mut line = |row: &[String]| {
-            let cells = row
-                .iter()
-                .zip(&widths)
-                .enumerate()
-                .map(|(column, (cell, &width))| {
-                    if column == 0 {
-                        format!("{cell:<width$}")
-                    } else {
-                        format!("{cell:>width$}")
-                    }
-                });
+            let cells = row.iter().zip(&widths).enumerate().map(|(column, (cell, &width))| {
+                if column == 0 { format!("{cell:<width$}") } else { format!("{cell:>width$}") }
+            });
             writeln!(out, "{}", cells.collect::<Vec<_>>().join("  ").trim_end())
         };
         if self.header.iter().any(|cell| !cell.is_empty()) {
@@ -79,10 +64,7 @@ mod tests {
 
     #[test]
     fn numbers_are_grouped_by_thousands() {
-        assert_eq!(
-            [0, 999, 1000, 1_234_567].map(thousands),
-            ["0", "999", "1,000", "1,234,567"]
-        );
+        assert_eq!([0, 999, 1000, 1_234_567].map(thousands), ["0", "999", "1,000", "1,234,567"]);
     }
 
     #[test]

@@ -7,6 +7,10 @@
 //! random numbers. A run of a number of steps ends in the same bytes whether it was interrupted or not, and with any
 //! number of threads; a run of minutes depends on the clock and cannot promise that.
 
+pub mod schedule;
+pub mod optimizer;
+pub mod metrics;
+
 pub mod batch;
 pub mod step;
 
@@ -22,8 +26,8 @@ use crate::checkpoint::{Checkpoint, dataset_hash, hexadecimal};
 use crate::config::TrainConfig;
 use crate::dataset::Dataset;
 use crate::error::{Error, Result};
-use crate::metrics::{MetricLine, MetricLog, MetricSums, plot_losses};
-use crate::schedule::{progress, rate_factor};
+use crate::train::metrics::{MetricLine, MetricLog, MetricSums, plot_losses};
+use crate::train::schedule::{progress, rate_factor};
 use step::Trainer;
 
 /// How a run is carried out; nothing here changes what a run of steps learns.
@@ -109,13 +113,7 @@ fn open_run(
 ) -> Result<Checkpoint> {
     if dataset.description.clips.is_empty() {
         let remedy = "give at least one clip of at least one pose";
-        return Err(Error::bad_input(
-            run,
-            "dataset",
-            "0 clips",
-            "1 or more",
-            remedy,
-        ));
+        return Err(Error::bad_input(run, "dataset", "0 clips", "1 or more", remedy));
     }
     match start {
         Start::New => {
@@ -123,13 +121,7 @@ fn open_run(
                 && fs::read_dir(run).map_or(true, |mut entries| entries.next().is_some());
             if is_taken {
                 let remedy = "choose another folder, or go on with --resume";
-                return Err(Error::bad_input(
-                    run,
-                    "--out",
-                    "in use",
-                    "a new folder",
-                    remedy,
-                ));
+                return Err(Error::bad_input(run, "--out", "in use", "a new folder", remedy));
             }
             let checkpoint = Checkpoint::start(dataset, config);
             fs::create_dir_all(run).map_err(Error::io("create", run))?;
@@ -143,13 +135,7 @@ fn open_run(
         Start::Resume => {
             if !run.join(Checkpoint::FILE_NAME).exists() {
                 let remedy = "leave --resume off to start a new run, in a new folder";
-                return Err(Error::bad_input(
-                    run,
-                    "checkpoint",
-                    "missing",
-                    "a run",
-                    remedy,
-                ));
+                return Err(Error::bad_input(run, "checkpoint", "missing", "a run", remedy));
             }
             let mut checkpoint = Checkpoint::load(run)?;
             refuse_other_run(&checkpoint, dataset, config, run)?;
@@ -180,10 +166,7 @@ fn refuse_other_run(
         let remedy = "restore the clips and the import flags, or start a new run in another --out";
         return differs("dataset", hash, &checkpoint.state.dataset_hash, remedy);
     }
-    debug_assert_eq!(
-        checkpoint.state.config_hash,
-        hexadecimal(&config.config_hash())
-    );
+    debug_assert_eq!(checkpoint.state.config_hash, hexadecimal(&config.config_hash()));
     Ok(())
 }
 
@@ -191,9 +174,7 @@ fn refuse_other_run(
 fn first_difference(left: &TrainConfig, right: &TrainConfig) -> Option<(String, String)> {
     let (left, right) = (left.to_toml(), right.to_toml());
     let mut pairs = left.lines().zip(right.lines());
-    pairs
-        .find(|(left, right)| left != right)
-        .map(|(left, right)| (left.into(), right.into()))
+    pairs.find(|(left, right)| left != right).map(|(left, right)| (left.into(), right.into()))
 }
 
 /// A run in progress.
@@ -247,10 +228,8 @@ impl Run<'_> {
                 self.save(&mut clock)?;
             }
         }
-        let factor = rate_factor(
-            self.trainer.checkpoint.config.schedule.shape,
-            self.progress(&clock),
-        );
+        let factor =
+            rate_factor(self.trainer.checkpoint.config.schedule.shape, self.progress(&clock));
         self.write_line(&mut clock, factor)?;
         self.save(&mut clock)?;
         self.bar.finish_and_clear();
@@ -258,9 +237,7 @@ impl Run<'_> {
             // What is returned is what a later command will read.
             Checkpoint::load(self.run)
         } else {
-            Err(Error::Interrupted {
-                resume: self.options.resume_command.to_owned(),
-            })
+            Err(Error::Interrupted { resume: self.options.resume_command.to_owned() })
         }
     }
 
@@ -278,13 +255,7 @@ impl Run<'_> {
             let field = format!("loss at step {}", state.step);
             let remedy = "lower adam.*_learning_rate or set update.gradient_norm_max; \
                           the checkpoint before this is kept";
-            return Err(Error::bad_input(
-                self.run,
-                field,
-                line.loss,
-                "a finite number",
-                remedy,
-            ));
+            return Err(Error::bad_input(self.run, field, line.loss, "a finite number", remedy));
         }
         line.decoder_learning_rate = config.adam.decoder_learning_rate * factor;
         line.code_learning_rate = config.adam.code_learning_rate * factor;
@@ -296,10 +267,7 @@ impl Run<'_> {
     }
 
     fn show(&self, line: &MetricLine, done: f64, clock: &Clock) {
-        let errors = line
-            .error_rms
-            .iter()
-            .map(|(name, error)| format!("{name} {error:.3}"));
+        let errors = line.error_rms.iter().map(|(name, error)| format!("{name} {error:.3}"));
         let errors = errors.collect::<Vec<_>>().join(", ");
         let done_now = (done - clock.progress_before).max(f64::EPSILON);
         let left_s = clock.started.elapsed().as_secs_f64() * (1.0 - done) / done_now;
@@ -363,21 +331,11 @@ mod tests {
     }
 
     fn train_new(config: &TrainConfig, run: &Path) -> Result<Checkpoint> {
-        train(
-            &dataset(),
-            config,
-            run,
-            &options(Start::New, 1, &AtomicBool::new(false)),
-        )
+        train(&dataset(), config, run, &options(Start::New, 1, &AtomicBool::new(false)))
     }
 
     fn resume(config: &TrainConfig, run: &Path) -> Result<Checkpoint> {
-        train(
-            &dataset(),
-            config,
-            run,
-            &options(Start::Resume, 1, &AtomicBool::new(false)),
-        )
+        train(&dataset(), config, run, &options(Start::Resume, 1, &AtomicBool::new(false)))
     }
 
     fn bytes_of(run: &Path) -> Vec<u8> {
@@ -417,15 +375,10 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let run = folder.path().join("run");
         let message = resume(&config(""), &run).unwrap_err().to_string();
-        assert!(
-            message.contains("checkpoint") && message.contains("missing"),
-            "{message}"
-        );
+        assert!(message.contains("checkpoint") && message.contains("missing"), "{message}");
         train_new(&config(""), &run).unwrap();
         let before = bytes_of(&run);
-        let message = resume(&config("[adam]\nbeta1 = 0.8"), &run)
-            .unwrap_err()
-            .to_string();
+        let message = resume(&config("[adam]\nbeta1 = 0.8"), &run).unwrap_err().to_string();
         assert!(message.contains("beta1 = 0.8"), "{message}");
         let mut other = dataset();
         other.poses[7] += 0.1;
@@ -476,12 +429,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let run = folder.path().join("run");
         let stop = AtomicBool::new(true);
-        let result = train(
-            &dataset(),
-            &config(""),
-            &run,
-            &options(Start::New, 1, &stop),
-        );
+        let result = train(&dataset(), &config(""), &run, &options(Start::New, 1, &stop));
         assert!(
             matches!(result, Err(Error::Interrupted { resume }) if resume.contains("--resume"))
         );
@@ -520,12 +468,8 @@ mod tests {
             });
             log.push(sums.take_line(step).unwrap()).unwrap();
         }
-        let steps: Vec<u64> = MetricLog::open(&run, 5)
-            .unwrap()
-            .lines
-            .iter()
-            .map(|line| line.step)
-            .collect();
+        let steps: Vec<u64> =
+            MetricLog::open(&run, 5).unwrap().lines.iter().map(|line| line.step).collect();
         assert_eq!(steps, [3, 5]);
     }
 }

@@ -10,6 +10,7 @@ use crate::error_table::Rows;
 
 /// What the user typed.
 #[derive(Clone, Debug, clap::Args)]
+#[command(after_help = "Example:\n  firmware-sim compare runs/creature creature.kara")]
 pub struct CompareArgs {
     /// Folder of `host-trainer train`
     run: PathBuf,
@@ -41,11 +42,7 @@ pub fn run(args: &CompareArgs) -> Result<()> {
     let options = Options {
         poses_per_clip: args.frames_per_clip as usize,
         draw_pose_count: args.draw_poses as usize,
-        rows: if args.per_group {
-            Rows::PerGroup
-        } else {
-            Rows::PerKind
-        },
+        rows: if args.per_group { Rows::PerGroup } else { Rows::PerKind },
     };
     let progress = progress_bar();
     progress.set_message("comparing motions");
@@ -53,11 +50,7 @@ pub fn run(args: &CompareArgs) -> Result<()> {
         compare(&checkpoint, &blob, options, &progress).map_err(|error| error.in_file(&args.model));
     progress.finish_and_clear();
     let comparison = comparison?;
-    if args.json {
-        print_json(&comparison)
-    } else {
-        print_tables(&comparison)
-    }
+    if args.json { print_json(&comparison) } else { print_tables(&comparison) }
 }
 
 fn print_tables(comparison: &Comparison) -> Result<()> {
@@ -86,9 +79,8 @@ fn print_table(table: &ErrorTable) {
         "group", "channels", "unit", "RMS", "99 %", "max", "SNR dB"
     );
     for row in &table.rows {
-        let signal_to_noise = row
-            .signal_to_noise_db
-            .map_or("exact".into(), |db| format!("{db:.1}"));
+        let signal_to_noise =
+            row.signal_to_noise_db.map_or("exact".into(), |db| format!("{db:.1}"));
         println!(
             "{:<width$}  {:>8}  {:<4}  {:>10.5}  {:>10.5}  {:>10.5}  {:>8}",
             row.group,

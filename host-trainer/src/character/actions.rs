@@ -36,12 +36,7 @@ const fn action(
     blinks: bool,
 ) -> Action {
     assert!(label.len() <= LABEL_BYTES_MAX);
-    Action {
-        label,
-        perform,
-        breath_deg,
-        blinks,
-    }
+    Action { label, perform, breath_deg, blinks }
 }
 
 /// Every action, sorted by label.

@@ -47,20 +47,12 @@ impl Actor {
 
     /// The arm on the preferred side.
     pub fn near_arm(&self) -> Joint {
-        if self.side > 0.0 {
-            Joint::ArmLeft
-        } else {
-            Joint::ArmRight
-        }
+        if self.side > 0.0 { Joint::ArmLeft } else { Joint::ArmRight }
     }
 
     /// The other arm.
     pub fn far_arm(&self) -> Joint {
-        if self.side > 0.0 {
-            Joint::ArmRight
-        } else {
-            Joint::ArmLeft
-        }
+        if self.side > 0.0 { Joint::ArmRight } else { Joint::ArmLeft }
     }
 
     /// An empty score in this actor's way of standing: never quite the same rest pose.

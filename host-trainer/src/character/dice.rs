@@ -73,9 +73,7 @@ mod tests {
     #[test]
     fn every_draw_stays_in_its_range_and_reaches_both_halves() {
         let mut dice = dice();
-        let draws = (0..1000)
-            .map(|_| dice.between(-2.0, 4.0))
-            .collect::<Vec<_>>();
+        let draws = (0..1000).map(|_| dice.between(-2.0, 4.0)).collect::<Vec<_>>();
         assert!(draws.iter().all(|draw| (-2.0..4.0).contains(draw)));
         assert!((300..700).contains(&draws.iter().filter(|draw| **draw < 1.0).count()));
         assert!((0..1000).all(|_| (0.7..=1.3).contains(&dice.about_one(0.3))));
@@ -90,11 +88,7 @@ mod tests {
     fn seed_action_and_clip_each_change_the_stream() {
         let first = dice().between(0.0, 1.0);
         assert_eq!(dice().between(0.0, 1.0), first);
-        for mut other in [
-            Dice::new(2, "nod", 0),
-            Dice::new(1, "bow", 0),
-            Dice::new(1, "nod", 1),
-        ] {
+        for mut other in [Dice::new(2, "nod", 0), Dice::new(1, "bow", 0), Dice::new(1, "nod", 1)] {
             assert_ne!(other.between(0.0, 1.0), first);
         }
     }

@@ -42,11 +42,7 @@ struct Drag {
 }
 
 const fn drag(leader: Joint, follower: Joint, shift_s: f64) -> Drag {
-    Drag {
-        leader,
-        follower,
-        shift_s,
-    }
+    Drag { leader, follower, shift_s }
 }
 
 /// Loose parts stay behind what carries them; the head rolls into its turns.
@@ -139,11 +135,7 @@ pub fn play(score: &Score, frame_count_min: usize, frame_count_max: usize) -> Ve
     let mut poses = Vec::with_capacity(frame_count_max * JOINT_COUNT);
     let mut still_frame_count = 0;
     for frame in 0..frame_count_max {
-        still_frame_count = if body.is_still() {
-            still_frame_count + 1
-        } else {
-            0
-        };
+        still_frame_count = if body.is_still() { still_frame_count + 1 } else { 0 };
         if frame >= frame_count_min && still_frame_count >= STILL_FRAME_COUNT {
             break;
         }

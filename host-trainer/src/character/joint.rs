@@ -126,7 +126,5 @@ pub fn layout() -> PoseLayout {
         kind: GroupKind::Scalar,
         unit: Unit::Degree,
     };
-    PoseLayout {
-        groups: Joint::ALL.iter().map(group).collect(),
-    }
+    PoseLayout { groups: Joint::ALL.iter().map(group).collect() }
 }

@@ -87,12 +87,7 @@ impl Track {
 mod tests {
     use super::*;
 
-    const STROKE: Stroke = Stroke {
-        start_s: 1.0,
-        duration_s: 0.5,
-        delta_deg: 20.0,
-        attack: 0.0,
-    };
+    const STROKE: Stroke = Stroke { start_s: 1.0, duration_s: 0.5, delta_deg: 20.0, attack: 0.0 };
 
     #[test]
     fn minimum_jerk_stays_at_its_ends_outside_the_movement() {
@@ -114,11 +109,7 @@ mod tests {
     fn overlapping_strokes_add_up_to_the_goal() {
         let mut track = Track::default();
         track.add(STROKE);
-        track.add(Stroke {
-            start_s: 1.2,
-            delta_deg: -5.0,
-            ..STROKE
-        });
+        track.add(Stroke { start_s: 1.2, delta_deg: -5.0, ..STROKE });
         assert_eq!(track.goal_deg(), 15.0);
         assert_eq!(track.end_s(), 1.7);
         assert_eq!(track.value_deg(1.0), 0.0);
@@ -129,11 +120,8 @@ mod tests {
     fn the_shortest_stroke_keeps_its_speed_limit_at_any_attack() {
         for tenths in -9..=9 {
             let attack = f64::from(tenths) / 10.0;
-            let stroke = Stroke {
-                duration_s: Stroke::shortest_s(20.0, attack, 100.0),
-                attack,
-                ..STROKE
-            };
+            let stroke =
+                Stroke { duration_s: Stroke::shortest_s(20.0, attack, 100.0), attack, ..STROKE };
             let values = (0..2_000).map(|i| stroke.value_deg(1.0 + f64::from(i) * 0.001));
             let values = values.collect::<Vec<_>>();
             let fastest = values.windows(2).map(|pair| (pair[1] - pair[0]) * 1e3);

@@ -55,12 +55,7 @@ pub struct Score {
 impl Score {
     /// An empty score: the posture, held. `attack` shapes every key, see [`Stroke::attack`].
     pub fn new(posture_deg: [f64; JOINT_COUNT], attack: f64) -> Self {
-        Self {
-            tracks: Default::default(),
-            blinks: Vec::new(),
-            posture_deg,
-            attack,
-        }
+        Self { tracks: Default::default(), blinks: Vec::new(), posture_deg, attack }
     }
 
     /// Moves a joint to `offset_deg` from the posture; returns when it will be all but there. A key
@@ -71,12 +66,7 @@ impl Score {
         let creep_deg = CREEP_SHARE * delta_deg;
         let end_s = self.stroke(joint, start_s, duration_s, delta_deg - creep_deg);
         let duration_s = end_s - start_s;
-        self.stroke(
-            joint,
-            start_s + 0.4 * duration_s,
-            1.6 * duration_s,
-            creep_deg,
-        );
+        self.stroke(joint, start_s + 0.4 * duration_s, 1.6 * duration_s, creep_deg);
         end_s
     }
 
@@ -124,8 +114,7 @@ impl Score {
     /// When the last key and the last blink are done.
     pub fn end_s(&self) -> f64 {
         let keys = self.tracks.iter().map(Track::end_s);
-        keys.chain(self.blinks.iter().map(Blink::end_s))
-            .fold(0.0, f64::max)
+        keys.chain(self.blinks.iter().map(Blink::end_s)).fold(0.0, f64::max)
     }
 
     /// Hurries when the score would overrun `seconds`. Blinks come earlier but keep their speed.
@@ -153,12 +142,7 @@ impl Score {
 mod tests {
     use super::*;
 
-    const BLINK: Blink = Blink {
-        start_s: 1.0,
-        close_s: 0.08,
-        shut_s: 0.03,
-        open_s: 0.16,
-    };
+    const BLINK: Blink = Blink { start_s: 1.0, close_s: 0.08, shut_s: 0.03, open_s: 0.16 };
 
     fn empty() -> Score {
         Score::new([0.0; JOINT_COUNT], 0.0)
@@ -178,10 +162,7 @@ mod tests {
         let mut score = empty();
         score.blink(BLINK);
         let one_s = score.end_s();
-        score.blink(Blink {
-            start_s: 1.2,
-            ..BLINK
-        });
+        score.blink(Blink { start_s: 1.2, ..BLINK });
         assert_eq!(score.end_s(), one_s);
     }
 

@@ -17,7 +17,7 @@ use serde_json::{Map, Value, json};
 use crate::atomic_file;
 use crate::error::{Error, Result};
 use crate::float_model::{CodeTable, DenseLayer};
-use crate::optimizer::CodeMoments;
+use crate::train::optimizer::CodeMoments;
 
 /// Values of one tensor, borrowed.
 #[derive(Clone, Copy)]
@@ -46,15 +46,9 @@ impl Values<'_> {
 
     fn write(self, file: &mut BufWriter<File>) -> std::io::Result<()> {
         match self {
-            Self::F32(values) => values
-                .iter()
-                .try_for_each(|v| file.write_all(&v.to_le_bytes())),
-            Self::F64(values) => values
-                .iter()
-                .try_for_each(|v| file.write_all(&v.to_le_bytes())),
-            Self::U32(values) => values
-                .iter()
-                .try_for_each(|v| file.write_all(&v.to_le_bytes())),
+            Self::F32(values) => values.iter().try_for_each(|v| file.write_all(&v.to_le_bytes())),
+            Self::F64(values) => values.iter().try_for_each(|v| file.write_all(&v.to_le_bytes())),
+            Self::U32(values) => values.iter().try_for_each(|v| file.write_all(&v.to_le_bytes())),
         }
     }
 }
@@ -72,24 +66,18 @@ impl<'a> TensorWriter<'a> {
     }
 
     pub fn frequencies(&mut self, name: &str, values: &'a [f64]) {
-        self.tensors
-            .push((name.to_owned(), vec![values.len()], Values::F64(values)));
+        self.tensors.push((name.to_owned(), vec![values.len()], Values::F64(values)));
     }
 
     pub fn counts(&mut self, name: &str, values: &'a [u32]) {
-        self.tensors
-            .push((name.to_owned(), vec![values.len()], Values::U32(values)));
+        self.tensors.push((name.to_owned(), vec![values.len()], Values::U32(values)));
     }
 
     pub fn layers(&mut self, prefix: &str, layers: &'a [DenseLayer]) {
         for (index, layer) in layers.iter().enumerate() {
             let shape = vec![layer.output_count, layer.input_count];
             self.floats(format!("{prefix}.{index}.weight"), shape, &layer.weights);
-            self.floats(
-                format!("{prefix}.{index}.bias"),
-                vec![layer.output_count],
-                &layer.bias,
-            );
+            self.floats(format!("{prefix}.{index}.bias"), vec![layer.output_count], &layer.bias);
         }
     }
 
@@ -111,15 +99,12 @@ impl<'a> TensorWriter<'a> {
 
     /// Writes the file; the f64 tensors come first, so that every tensor is aligned.
     pub fn replace(mut self, path: &Path) -> Result<()> {
-        self.tensors
-            .sort_by_key(|(_, _, values)| !matches!(values, Values::F64(_)));
+        self.tensors.sort_by_key(|(_, _, values)| !matches!(values, Values::F64(_)));
         let header = self.header();
         atomic_file::replace(path, |file| {
             file.write_all(&(header.len() as u64).to_le_bytes())?;
             file.write_all(header.as_bytes())?;
-            self.tensors
-                .iter()
-                .try_for_each(|(_, _, values)| values.write(file))
+            self.tensors.iter().try_for_each(|(_, _, values)| values.write(file))
         })
     }
 
@@ -136,10 +121,7 @@ impl<'a> TensorWriter<'a> {
         }
         let mut text = Value::Object(header).to_string();
         // Padded so that the tensors start at a multiple of 8 bytes.
-        text.extend(core::iter::repeat_n(
-            ' ',
-            text.len().next_multiple_of(8) - text.len(),
-        ));
+        text.extend(core::iter::repeat_n(' ', text.len().next_multiple_of(8) - text.len()));
         text
     }
 }
@@ -163,42 +145,26 @@ impl<'a> TensorReader<'a> {
         };
         let (_, header) = SafeTensors::read_metadata(bytes).map_err(refuse)?;
         let tensors = SafeTensors::deserialize(bytes).map_err(refuse)?;
-        Ok(Self {
-            file,
-            metadata: header.metadata().clone().unwrap_or_default(),
-            tensors,
-        })
+        Ok(Self { file, metadata: header.metadata().clone().unwrap_or_default(), tensors })
     }
 
     pub fn metadata(&self, key: &str) -> Result<&str> {
         let missing = || damaged(self.file, format!("metadata `{key}`"), "missing", "a text");
-        self.metadata
-            .get(key)
-            .map(String::as_str)
-            .ok_or_else(missing)
+        self.metadata.get(key).map(String::as_str).ok_or_else(missing)
     }
 
     pub fn json<T: DeserializeOwned>(&self, key: &str) -> Result<T> {
         serde_json::from_str(self.metadata(key)?).map_err(|error| {
-            damaged(
-                self.file,
-                format!("metadata `{key}`"),
-                error,
-                "JSON of this program",
-            )
+            damaged(self.file, format!("metadata `{key}`"), error, "JSON of this program")
         })
     }
 
     pub fn frequencies(&self, name: &str, count: usize) -> Result<Vec<f64>> {
-        Ok(words(self.bytes(name, Dtype::F64, &[count])?)
-            .map(f64::from_le_bytes)
-            .collect())
+        Ok(words(self.bytes(name, Dtype::F64, &[count])?).map(f64::from_le_bytes).collect())
     }
 
     pub fn counts(&self, name: &str, count: usize) -> Result<Vec<u32>> {
-        Ok(words(self.bytes(name, Dtype::U32, &[count])?)
-            .map(u32::from_le_bytes)
-            .collect())
+        Ok(words(self.bytes(name, Dtype::U32, &[count])?).map(u32::from_le_bytes).collect())
     }
 
     /// `widths`: inputs of layer 1, then the outputs of every layer.
@@ -231,9 +197,7 @@ impl<'a> TensorReader<'a> {
     }
 
     fn floats(&self, name: &str, shape: &[usize]) -> Result<Vec<f32>> {
-        Ok(words(self.bytes(name, Dtype::F32, shape)?)
-            .map(f32::from_le_bytes)
-            .collect())
+        Ok(words(self.bytes(name, Dtype::F32, shape)?).map(f32::from_le_bytes).collect())
     }
 
     fn bytes(&self, name: &str, dtype: Dtype, shape: &[usize]) -> Result<&[u8]> {

@@ -72,13 +72,7 @@ pub struct BenchRow {
 pub fn run(args: &BenchArgs) -> Result<()> {
     if !(args.seconds > 0.0 && args.seconds <= 3600.0) {
         let remedy = "give the seconds for every row";
-        return Err(Error::bad_input(
-            "--seconds",
-            "value",
-            args.seconds,
-            "0 to 3600",
-            remedy,
-        ));
+        return Err(Error::bad_input("--seconds", "value", args.seconds, "0 to 3600", remedy));
     }
     let mut rows = Vec::new();
     for threads in THREAD_COUNTS {
@@ -87,30 +81,18 @@ pub fn run(args: &BenchArgs) -> Result<()> {
             Error::io("start threads for", "bench")(std::io::Error::other(error))
         })?;
         pool.install(|| {
-            let par = if threads > 1 {
-                Par::rayon(threads)
-            } else {
-                Par::Seq
-            };
+            let par = if threads > 1 { Par::rayon(threads) } else { Par::Seq };
             let peak = peak_gflop_per_s(par);
             for clips in BATCH_CLIPS {
                 eprintln!("measuring {clips} clips on {threads} threads");
-                rows.push(measure(
-                    clips,
-                    threads,
-                    peak,
-                    Duration::from_secs_f64(args.seconds),
-                ));
+                rows.push(measure(clips, threads, peak, Duration::from_secs_f64(args.seconds)));
             }
             Ok(())
         })?;
     }
     if args.json {
         let text = serde_json::to_string_pretty(&rows);
-        println!(
-            "{}",
-            text.unwrap_or_else(|error| unreachable!("plain numbers: {error}"))
-        );
+        println!("{}", text.unwrap_or_else(|error| unreachable!("plain numbers: {error}")));
     } else {
         print!("{}", BenchTable(&rows));
     }
@@ -153,10 +135,7 @@ fn step_macs(trainer: &Trainer<'_>) -> u64 {
     let codes = rows / trainer.checkpoint.config.batch.frames;
     let code_half = 3 * codes * model.code_count() * first.output_count;
     let time_half = 2 * moments * model.sinusoid_count() * first.output_count;
-    let others: usize = model.layers[1..]
-        .iter()
-        .map(|layer| layer.weights.len())
-        .sum();
+    let others: usize = model.layers[1..].iter().map(|layer| layer.weights.len()).sum();
     (code_half + time_half + 3 * rows * others) as u64
 }
 
@@ -168,14 +147,7 @@ fn peak_gflop_per_s(par: Par) -> f64 {
         let mut product = Mat::<f32>::zeros(side, side);
         let time_s = |_| {
             let started = Instant::now();
-            matmul(
-                product.as_mut(),
-                Accum::Replace,
-                left.as_ref(),
-                right.as_ref(),
-                1.0,
-                par,
-            );
+            matmul(product.as_mut(), Accum::Replace, left.as_ref(), right.as_ref(), 1.0, par);
             black_box(&product);
             started.elapsed().as_secs_f64()
         };
@@ -201,19 +173,13 @@ fn random_dataset() -> Dataset {
     const JOINT_COUNT: usize = 24;
     const FRAME_COUNTS: core::ops::RangeInclusive<usize> = 8..=143;
     let mut rng = stream(1, Purpose::Bench, 0);
-    let root = Group {
-        name: "root".into(),
-        kind: GroupKind::Translation,
-        unit: Unit::Metre,
-    };
+    let root = Group { name: "root".into(), kind: GroupKind::Translation, unit: Unit::Metre };
     let joint = |index| Group {
         name: format!("joint{index}"),
         kind: GroupKind::Rotation6d,
         unit: Unit::One,
     };
-    let groups = core::iter::once(root)
-        .chain((0..JOINT_COUNT).map(joint))
-        .collect();
+    let groups = core::iter::once(root).chain((0..JOINT_COUNT).map(joint)).collect();
     let layout = PoseLayout { groups };
     let channel_count = layout.channel_count();
     let clips: Vec<_> = (0..CLIP_COUNT)
@@ -231,15 +197,11 @@ fn random_dataset() -> Dataset {
     let frame_count: usize = clips.iter().map(|clip| clip.frame_count).sum();
     Dataset {
         first_rows,
-        poses: (0..frame_count * channel_count)
-            .map(|_| rng.random_range(-1.0..1.0))
-            .collect(),
+        poses: (0..frame_count * channel_count).map(|_| rng.random_range(-1.0..1.0)).collect(),
         description: DatasetDescription {
             layout,
             rate_hz: 20.0,
-            actions: (0..ACTION_COUNT)
-                .map(|action| format!("action{action}"))
-                .collect(),
+            actions: (0..ACTION_COUNT).map(|action| format!("action{action}")).collect(),
             clips,
             mean: vec![0.0; channel_count],
             scale: vec![1.0; channel_count],
@@ -284,13 +246,7 @@ mod tests {
         let mut trainer = Trainer::new(Checkpoint::start(&dataset, &config), &dataset);
         trainer.step(1.0);
         let (rows, moments) = (10, trainer.report.moment_count as u64);
-        let weights: usize = trainer
-            .checkpoint
-            .model
-            .layers
-            .iter()
-            .map(|l| l.weights.len())
-            .sum();
+        let weights: usize = trainer.checkpoint.model.layers.iter().map(|l| l.weights.len()).sum();
         assert_eq!(weights, 1_396_700);
         let saved = 3 * (rows - 2) * 256_000 + (3 * rows - 2 * moments) * 256_000;
         assert_eq!(step_macs(&trainer), 3 * rows * 1_396_700 - saved);

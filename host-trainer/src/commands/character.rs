@@ -23,6 +23,7 @@ const SIGNATURE: &str = "# karakuri character";
 
 /// Writes the built-in character's clips as CSV servo tracks.
 #[derive(Clone, Debug, clap::Args)]
+#[command(after_help = "Example:\n  host-trainer character --out clips --clips-per-action 12")]
 pub struct CharacterArgs {
     /// Folder to make for the clips
     #[arg(long, value_name = "DIR")]
@@ -181,12 +182,7 @@ mod tests {
     use super::*;
 
     fn args(out: PathBuf) -> CharacterArgs {
-        CharacterArgs {
-            out,
-            seed: 5,
-            clips_per_action: 2,
-            force: false,
-        }
+        CharacterArgs { out, seed: 5, clips_per_action: 2, force: false }
     }
 
     fn sandbox() -> tempfile::TempDir {
@@ -219,10 +215,8 @@ mod tests {
     fn no_clips_and_far_too_many_are_refused_and_nothing_is_written() {
         let sandbox = sandbox();
         for clips_per_action in [0, CLIPS_PER_ACTION_MAX + 1] {
-            let refusal = refusal(&CharacterArgs {
-                clips_per_action,
-                ..args(sandbox.path().join("clips"))
-            });
+            let refusal =
+                refusal(&CharacterArgs { clips_per_action, ..args(sandbox.path().join("clips")) });
             assert!(refusal.contains("--clips-per-action"), "{refusal}");
             assert!(refusal.contains("1 to 1000"), "{refusal}");
         }
@@ -244,24 +238,15 @@ mod tests {
         let sandbox = sandbox();
         let out = sandbox.path().join("clips");
         fs::write(&out, "years of work").expect("write");
-        let refusal = refusal(&CharacterArgs {
-            force: true,
-            ..args(out.clone())
-        });
+        let refusal = refusal(&CharacterArgs { force: true, ..args(out.clone()) });
         assert!(refusal.contains("not a folder"), "{refusal}");
-        assert_eq!(
-            fs::read_to_string(out).expect("still there"),
-            "years of work"
-        );
+        assert_eq!(fs::read_to_string(out).expect("still there"), "years of work");
     }
 
     #[test]
     fn force_refuses_a_folder_with_a_file_of_someone_else() {
         let sandbox = sandbox();
-        let args = CharacterArgs {
-            force: true,
-            ..args(sandbox.path().join("clips"))
-        };
+        let args = CharacterArgs { force: true, ..args(sandbox.path().join("clips")) };
         run(&args).expect("a first run");
         let foreign = args.out.join("nod").join("mine.csv");
         fs::write(&foreign, "time_s,a_deg\n0,1\n").expect("write");
@@ -280,11 +265,7 @@ mod tests {
         let before = files(&target);
         let link = sandbox.path().join("link");
         std::os::unix::fs::symlink(&target, &link).expect("a link");
-        refusal(&CharacterArgs {
-            force: true,
-            seed: 6,
-            ..args(link)
-        });
+        refusal(&CharacterArgs { force: true, seed: 6, ..args(link) });
         assert_eq!(files(&target), before);
     }
 
@@ -292,16 +273,8 @@ mod tests {
     fn force_replaces_its_own_folder_with_none_of_the_old_clips_left() {
         let sandbox = sandbox();
         let args = args(sandbox.path().join("new/clips"));
-        run(&CharacterArgs {
-            clips_per_action: 3,
-            ..args.clone()
-        })
-        .expect("a first run");
-        run(&CharacterArgs {
-            force: true,
-            ..args.clone()
-        })
-        .expect("a second run");
+        run(&CharacterArgs { clips_per_action: 3, ..args.clone() }).expect("a first run");
+        run(&CharacterArgs { force: true, ..args.clone() }).expect("a second run");
         assert_eq!(files(&args.out).len(), 2 * action_labels().count());
         assert_eq!(entries(&sandbox.path().join("new")).expect("read").len(), 1);
     }

@@ -2,14 +2,14 @@
 
 use std::path::Path;
 
+use crate::body::rotation::Vector;
+use crate::body::skeleton::Skeleton;
 use crate::commands::inspect_clips::ImportArgs;
 use crate::config::TrainConfig;
 use crate::dataset::{self, Dataset, DatasetOptions};
 use crate::error::Result;
 use crate::import;
 use crate::represent::represent_with_bones;
-use crate::rotation::Vector;
-use crate::skeleton::Skeleton;
 
 /// A dataset and, for rotations found by inverse kinematics, every clip's own bones. // (clip, joint)
 pub struct ClipData {
@@ -28,17 +28,9 @@ pub fn read_clip_data(path: &Path, args: &ImportArgs, config: &TrainConfig) -> R
     for remark in &clip_set.remarks {
         eprintln!("{remark}");
     }
-    let skeleton = args
-        .skeleton
-        .as_deref()
-        .map(Skeleton::by_name_or_file)
-        .transpose()?;
+    let skeleton = args.skeleton.as_deref().map(Skeleton::by_name_or_file).transpose()?;
     let (clip_set, bones) = represent_with_bones(clip_set, config.representation, skeleton)?;
-    let dataset = dataset::build(
-        &clip_set,
-        &DatasetOptions {
-            standardization: config.standardization,
-        },
-    )?;
+    let dataset =
+        dataset::build(&clip_set, &DatasetOptions { standardization: config.standardization })?;
     Ok(ClipData { dataset, bones })
 }

@@ -1,14 +1,16 @@
 //! `host-trainer demo`: the whole path on the built-in character, and one closing table.
 
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::{Command, Output, Stdio};
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 use karakuri::NumberFormat;
 use karakuri::manifest::SamplerKind;
 
-use crate::atomic_file;
+use serde_json::Value;
+
+use crate::atomic_file::{self, Overwrite};
 use crate::character;
 use crate::checkpoint::Checkpoint;
 use crate::commands::character::write_folder;
@@ -16,10 +18,10 @@ use crate::commands::quantize::quantize_checkpoint;
 use crate::config::TrainConfig;
 use crate::dataset::{self, Dataset, DatasetOptions};
 use crate::error::{Error, Result};
-use crate::export::{self, ExportFormat, Overwrite};
+use crate::export::{self, ExportFormat};
 use crate::generate::{Request, generate_blob};
-use crate::inspect_blob::{BlobReport, load};
-use crate::mixture_file;
+use crate::inspect::blob::{BlobReport, load};
+use crate::mixture;
 use crate::picture;
 use crate::reconstruct::{Source, reconstruct};
 use crate::table::{Table, thousands};
@@ -66,12 +68,8 @@ pub fn run(args: &DemoArgs) -> Result<()> {
     let mut config = TrainConfig::preset(&args.preset)?;
     config.seed = args.seed;
     config.budget.steps = args.steps;
-    let dataset = dataset::build(
-        &clip_set,
-        &DatasetOptions {
-            standardization: config.standardization,
-        },
-    )?;
+    let dataset =
+        dataset::build(&clip_set, &DatasetOptions { standardization: config.standardization })?;
 
     eprintln!("2/6  training preset {}", args.preset);
     let run = args.out.join("run");
@@ -80,15 +78,13 @@ pub fn run(args: &DemoArgs) -> Result<()> {
     let training_s = started.elapsed().as_secs_f64();
 
     eprintln!("3/6  mixtures over the codes");
-    let mixtures = mixture_file::of_checkpoint(&run, &checkpoint)?;
+    let mixtures = mixture::file::of_checkpoint(&run, &checkpoint)?;
 
     eprintln!("4/6  quantising");
     let mut products = Vec::new();
     for format in NumberFormat::ALL {
         let name = character::NAME.to_lowercase();
-        let path = args
-            .out
-            .join(format!("{name}-{}-{}.kara", args.preset, format.name()));
+        let path = args.out.join(format!("{name}-{}-{}.kara", args.preset, format.name()));
         let quantized = quantize_checkpoint(
             character::NAME,
             &checkpoint,
@@ -96,16 +92,10 @@ pub fn run(args: &DemoArgs) -> Result<()> {
             format,
             SamplerKind::ClipCodes,
         )?;
-        atomic_file::replace(&path, |file| {
-            std::io::Write::write_all(file, &quantized.blob)
-        })?;
+        atomic_file::write(&path, &quantized.blob, Overwrite::Replace)?;
         let model = load(&path, &quantized.blob)?;
         let error = scalar_error(&checkpoint, Source::Blob(&model), &dataset);
-        products.push(Product {
-            report: BlobReport::new(&path, &quantized.blob)?,
-            path,
-            error,
-        });
+        products.push(Product { report: BlobReport::new(&path, &quantized.blob)?, path, error });
     }
 
     eprintln!("5/6  new motions, decoded in the device's arithmetic");
@@ -113,15 +103,10 @@ pub fn run(args: &DemoArgs) -> Result<()> {
     let motion_count = write_motions(&products[0].path, &motions, args.seed)?;
 
     eprintln!("6/6  the same arithmetic on a simulated Cortex-M4");
-    let verdicts: Vec<String> = products
-        .iter()
-        .map(|product| qemu_verdict(&product.path))
-        .collect();
+    let verdicts: Vec<String> =
+        products.iter().map(|product| qemu_verdict(&product.path)).collect();
 
-    println!(
-        "{}",
-        summary(args, &dataset, training_s, &checkpoint, motion_count)
-    );
+    println!("{}", summary(args, &dataset, training_s, &checkpoint, motion_count));
     println!("{}", products_table(&products, &verdicts));
     println!("{}", parts_table(&products));
     Ok(())
@@ -164,10 +149,8 @@ fn train_demo(dataset: &Dataset, config: &TrainConfig, run: &Path) -> Result<Che
 /// RMS over all servo channels.
 fn scalar_error(checkpoint: &Checkpoint, source: Source<'_>, dataset: &Dataset) -> String {
     let reconstruction = reconstruct(checkpoint, source, dataset, &[], 1);
-    let errors = reconstruction
-        .groups
-        .iter()
-        .map(|group| format!("{:.3} {}", group.rms, group.unit));
+    let errors =
+        reconstruction.groups.iter().map(|group| format!("{:.3} {}", group.rms, group.unit));
     errors.collect::<Vec<_>>().join(", ")
 }
 
@@ -196,12 +179,7 @@ fn write_motions(blob_path: &Path, out: &Path, seed: u64) -> Result<usize> {
             count += 1;
         }
         let title = format!("{action}, {seconds:.1} s, three seeds");
-        picture::write(
-            &motions,
-            &title,
-            &out.join(format!("{action}.svg")),
-            Overwrite::Refuse,
-        )?;
+        picture::write(&motions, &title, &out.join(format!("{action}.svg")), Overwrite::Refuse)?;
     }
     Ok(count)
 }
@@ -211,35 +189,31 @@ fn qemu_verdict(blob: &Path) -> String {
     let Some(cargo) = std::env::var_os("CARGO") else {
         return "not run: start the demo with cargo".into();
     };
-    let simulator = [
-        "run",
-        "--quiet",
-        "--release",
-        "-p",
-        "firmware-sim",
-        "--",
-        "run",
-    ];
     let output = Command::new(cargo)
-        .args(simulator)
+        .args(["run", "--quiet", "--release", "-p", "firmware-sim", "--", "run"])
         .arg(blob)
-        .args(["--target", "cortex-m4"])
+        .args(["--target", "cortex-m4", "--json"])
         .stdin(Stdio::null())
-        .stderr(Stdio::piped())
         .output();
     match output {
-        Ok(output) if output.status.success() => {
-            let text = String::from_utf8_lossy(&output.stdout);
-            text.lines().last().unwrap_or("equal").trim().to_string()
-        }
-        Ok(output) => {
-            let text = String::from_utf8_lossy(&output.stderr);
+        Ok(output) => verdict_of(&output),
+        Err(reason) => format!("not run: {reason}"),
+    }
+}
+
+/// What the simulator's JSON says; its own last words where there is none.
+fn verdict_of(output: &Output) -> String {
+    let report: Value = serde_json::from_slice(&output.stdout).unwrap_or_default();
+    let number = |pointer: &str| report.pointer(pointer).and_then(Value::as_u64);
+    match (number("/pose_count"), number("/differences/bits_differing")) {
+        (Some(poses), Some(bits)) => format!("{} poses, {bits} bits differ", thousands(poses)),
+        _ => {
+            let words = String::from_utf8_lossy(&output.stderr);
             format!(
                 "not verified: {}",
-                text.lines().last().unwrap_or("the simulator failed")
+                words.lines().last().unwrap_or("the simulator says nothing")
             )
         }
-        Err(reason) => format!("not run: {reason}"),
     }
 }
 
@@ -264,15 +238,9 @@ fn summary(
     ]);
     table.push([
         "training".into(),
-        format!(
-            "{training_s:.0} s, {} steps, preset {}",
-            args.steps, args.preset
-        ),
+        format!("{training_s:.0} s, {} steps, preset {}", args.steps, args.preset),
     ]);
-    table.push([
-        "float model's error".into(),
-        scalar_error(checkpoint, Source::Float, dataset),
-    ]);
+    table.push(["float model's error".into(), scalar_error(checkpoint, Source::Float, dataset)]);
     table.push([
         "new motions".into(),
         format!("{motion_count} in {}", args.out.join("motions").display()),
@@ -306,18 +274,11 @@ fn products_table(products: &[Product], verdicts: &[String]) -> Table {
 fn parts_table(products: &[Product]) -> String {
     let mut table = Table::new(["bytes by part", "w8a16", "w8a8", "f16"]);
     let bytes = |product: &Product, part: &str| {
-        let found = product
-            .report
-            .parts
-            .iter()
-            .find(|report| report.part == part);
+        let found = product.report.parts.iter().find(|report| report.part == part);
         found.map_or_else(|| "–".into(), |report| thousands(report.bytes))
     };
     for part in &products[0].report.parts {
-        let cells: Vec<String> = products
-            .iter()
-            .map(|product| bytes(product, part.part))
-            .collect();
+        let cells: Vec<String> = products.iter().map(|product| bytes(product, part.part)).collect();
         if let [w8a16, w8a8, f16] = cells.as_slice() {
             table.push([part.part.into(), w8a16.clone(), w8a8.clone(), f16.clone()]);
         }

@@ -2,12 +2,13 @@
 
 use std::path::PathBuf;
 
+use crate::atomic_file::Overwrite;
 use crate::checkpoint::Checkpoint;
 use crate::error::{Error, Result};
-use crate::export::{self, ExportFormat, Motion, Overwrite};
+use crate::export::{self, ExportFormat, Motion};
 use crate::generate::{Request, generate_blob, generate_float};
-use crate::inspect_blob::{load, read_blob};
-use crate::mixture_file;
+use crate::inspect::blob::{load, read_blob};
+use crate::mixture;
 use crate::picture;
 
 /// Arguments of `generate`.
@@ -62,11 +63,7 @@ pub fn run(args: &GenerateArgs) -> Result<()> {
     }
     let motions = generate_all(args)?;
     std::fs::create_dir_all(&args.out).map_err(Error::io("create", &args.out))?;
-    let overwrite = if args.force {
-        Overwrite::Replace
-    } else {
-        Overwrite::Refuse
-    };
+    let overwrite = Overwrite::from_force(args.force);
     for motion in &motions {
         let name = format!(
             "{}_{:.2}s_seed{}.{}",
@@ -80,15 +77,8 @@ pub fn run(args: &GenerateArgs) -> Result<()> {
         }
     }
     if args.plot {
-        let path = args
-            .out
-            .join(format!("{}_seed{}.svg", args.action, args.seed));
-        let title = format!(
-            "{}, {} s, from {}",
-            args.action,
-            args.seconds,
-            args.source.display()
-        );
+        let path = args.out.join(format!("{}_seed{}.svg", args.action, args.seed));
+        let title = format!("{}, {} s, from {}", args.action, args.seconds, args.source.display());
         picture::write(&motions, &title, &path, overwrite)?;
         println!("{}", path.display());
     }
@@ -104,14 +94,10 @@ fn generate_all(args: &GenerateArgs) -> Result<Vec<Motion>> {
     });
     if args.source.is_dir() {
         let checkpoint = Checkpoint::load(&args.source)?;
-        let mixtures = mixture_file::of_checkpoint(&args.source, &checkpoint)?;
-        return requests
-            .map(|request| generate_float(&checkpoint, &mixtures, &request))
-            .collect();
+        let mixtures = mixture::file::of_checkpoint(&args.source, &checkpoint)?;
+        return requests.map(|request| generate_float(&checkpoint, &mixtures, &request)).collect();
     }
     let blob = read_blob(&args.source)?;
     let model = load(&args.source, &blob)?;
-    requests
-        .map(|request| generate_blob(&args.source, &model, &request))
-        .collect()
+    requests.map(|request| generate_blob(&args.source, &model, &request)).collect()
 }

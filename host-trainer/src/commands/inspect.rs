@@ -2,24 +2,17 @@
 
 use crate::commands::inspect_clips::{self, InspectClipsArgs};
 use crate::error::Result;
-use crate::inspect_blob::{BlobReport, read_blob};
+use crate::inspect::blob::{BlobReport, read_blob};
 
 /// Prints a report on stdout: of a blob when the path ends in `.kara`, of clips otherwise.
 pub fn run(args: &InspectClipsArgs) -> Result<()> {
-    if args
-        .path
-        .extension()
-        .is_none_or(|extension| extension != "kara")
-    {
+    if args.path.extension().is_none_or(|extension| extension != "kara") {
         return inspect_clips::run(args);
     }
     let blob = read_blob(&args.path)?;
     let report = BlobReport::new(&args.path, &blob)?;
     if args.json {
-        println!(
-            "{}",
-            serde_json::to_string_pretty(&report).unwrap_or_default()
-        );
+        println!("{}", serde_json::to_string_pretty(&report).unwrap_or_default());
     } else {
         print!("{report}");
     }

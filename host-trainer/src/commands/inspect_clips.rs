@@ -91,6 +91,9 @@ impl ImportArgs {
 
 /// Reports what clip files hold.
 #[derive(Clone, Debug, clap::Args)]
+#[command(
+    after_help = "Examples:\n  host-trainer inspect clips --fps 50\n  host-trainer inspect creature.kara"
+)]
 pub struct InspectClipsArgs {
     /// Clip file, folder of clip files, or blob (`.kara`)
     pub path: PathBuf,
@@ -146,9 +149,7 @@ mod tests {
     }
 
     fn parsed(line: &str) -> std::result::Result<ImportArgs, clap::Error> {
-        let words = ["inspect", "clips"]
-            .into_iter()
-            .chain(line.split_whitespace());
+        let words = ["inspect", "clips"].into_iter().chain(line.split_whitespace());
         Command::try_parse_from(words).map(|command| command.inspect.import)
     }
 
@@ -164,12 +165,7 @@ mod tests {
         ] {
             assert!(parsed(line).is_err(), "{line}");
         }
-        assert!(
-            parsed("--unit furlong")
-                .unwrap_err()
-                .to_string()
-                .contains("one, rad, deg")
-        );
+        assert!(parsed("--unit furlong").unwrap_err().to_string().contains("one, rad, deg"));
     }
 
     #[test]
@@ -179,16 +175,10 @@ mod tests {
         let options = parsed(line).unwrap().options().unwrap();
         assert_eq!(options.format, Some(Format::Npy));
         assert_eq!((options.rate_hz, options.scale), (Some(20.0), Some(0.05)));
-        assert_eq!(
-            (options.unit, options.names.len()),
-            (Some(Unit::Centimetre), 2)
-        );
+        assert_eq!((options.unit, options.names.len()), (Some(Unit::Centimetre), 2));
         assert_eq!(options.labels.action_column.as_deref(), Some("coarse"));
         assert!(matches!(options.labels.source, LabelSource::Auto));
-        let pattern = parsed("--label-pattern ^([a-z]+)")
-            .unwrap()
-            .options()
-            .unwrap();
+        let pattern = parsed("--label-pattern ^([a-z]+)").unwrap().options().unwrap();
         assert!(matches!(pattern.labels.source, LabelSource::Pattern(_)));
     }
 }

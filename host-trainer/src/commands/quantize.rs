@@ -5,12 +5,12 @@ use std::path::PathBuf;
 use karakuri::NumberFormat;
 use karakuri::manifest::{Provenance, SamplerKind};
 
-use crate::atomic_file;
+use crate::atomic_file::{self, Overwrite};
 use crate::checkpoint::Checkpoint;
-use crate::error::{Error, Result};
-use crate::inspect_blob::BlobReport;
-use crate::mixture_file;
-use crate::mixture_set::MixtureSet;
+use crate::error::Result;
+use crate::inspect::blob::BlobReport;
+use crate::mixture;
+use crate::mixture::set::MixtureSet;
 use crate::quantize::{QuantizeInput, Quantized, quantize};
 
 /// Arguments of `quantize`.
@@ -79,21 +79,11 @@ impl From<SamplerArg> for SamplerKind {
 
 /// Quantises a run and prints the blob's report on stdout.
 pub fn run(args: &QuantizeArgs) -> Result<()> {
-    if args.out.exists() && !args.force {
-        return Err(Error::bad_input(
-            &args.out,
-            "--out",
-            "an existing file",
-            "a new file",
-            "choose another name, or add --force to replace it",
-        ));
-    }
+    let overwrite = Overwrite::from_force(args.force);
+    atomic_file::check(&args.out, overwrite)?;
     let checkpoint = Checkpoint::load(&args.run)?;
-    let mixtures = mixture_file::of_checkpoint(&args.run, &checkpoint)?;
-    let name = args
-        .run
-        .file_name()
-        .map_or_else(|| "model".into(), |name| name.to_string_lossy());
+    let mixtures = mixture::file::of_checkpoint(&args.run, &checkpoint)?;
+    let name = args.run.file_name().map_or_else(|| "model".into(), |name| name.to_string_lossy());
     let quantized = quantize_checkpoint(
         &name,
         &checkpoint,
@@ -101,15 +91,10 @@ pub fn run(args: &QuantizeArgs) -> Result<()> {
         args.format.into(),
         args.sampler.into(),
     )?;
-    atomic_file::replace(&args.out, |file| {
-        std::io::Write::write_all(file, &quantized.blob)
-    })?;
+    atomic_file::write(&args.out, &quantized.blob, overwrite)?;
     let report = BlobReport::new(&args.out, &quantized.blob)?;
     if args.json {
-        println!(
-            "{}",
-            serde_json::to_string_pretty(&report).unwrap_or_default()
-        );
+        println!("{}", serde_json::to_string_pretty(&report).unwrap_or_default());
         return Ok(());
     }
     print!("{report}");

@@ -8,8 +8,8 @@ use crate::checkpoint::{Checkpoint, dataset_hash};
 use crate::commands::clips::read_clip_data;
 use crate::commands::inspect_clips::ImportArgs;
 use crate::error::{Error, Result};
-use crate::inspect_blob::load;
-use crate::inspect_blob::read_blob;
+use crate::inspect::blob::load;
+use crate::inspect::blob::read_blob;
 use crate::reconstruct::{Reconstruction, Source, reconstruct};
 use crate::table::{Table, thousands};
 
@@ -56,10 +56,7 @@ pub fn run(args: &ReconstructArgs) -> Result<()> {
             &args.clips,
             "the dataset",
             "another one than the run's",
-            format!(
-                "the clips that {} was trained on, read by the same flags",
-                args.run.display()
-            ),
+            format!("the clips that {} was trained on, read by the same flags", args.run.display()),
             "give the same folder and flags as to train",
         ));
     }
@@ -89,16 +86,10 @@ pub fn run(args: &ReconstructArgs) -> Result<()> {
         });
     }
     if args.json {
-        println!(
-            "{}",
-            serde_json::to_string_pretty(&rows).unwrap_or_default()
-        );
+        println!("{}", serde_json::to_string_pretty(&rows).unwrap_or_default());
         return Ok(());
     }
-    println!(
-        "{} frames",
-        thousands(rows[0].reconstruction.frame_count as u64)
-    );
+    println!("{} frames", thousands(rows[0].reconstruction.frame_count as u64));
     print!("{}", error_table(&rows));
     Ok(())
 }
@@ -109,13 +100,7 @@ pub fn error_table(rows: &[Row]) -> Table {
     for row in rows {
         for group in &row.reconstruction.groups {
             let (rms, mean) = (format!("{:.3}", group.rms), format!("{:.3}", group.mean));
-            table.push([
-                row.decoder.clone(),
-                group.kind.into(),
-                rms,
-                mean,
-                group.unit.into(),
-            ]);
+            table.push([row.decoder.clone(), group.kind.into(), rms, mean, group.unit.into()]);
         }
         if let Some(joints) = row.reconstruction.joints {
             let measures = [

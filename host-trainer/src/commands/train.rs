@@ -16,6 +16,9 @@ use crate::train::{Progress, Start, TrainOptions, train};
 
 /// What the user types after `train`.
 #[derive(Clone, Debug, clap::Args)]
+#[command(
+    after_help = "Example:\n  host-trainer train clips --preset small --out runs/creature --steps 6000"
+)]
 pub struct TrainArgs {
     /// A clip file, or a folder of clips
     pub clips: PathBuf,
@@ -60,11 +63,7 @@ pub fn run(args: &TrainArgs) -> Result<()> {
     let data = read_clip_data(&args.clips, &args.import, &config)?;
     let stop = stop_on_interrupt(&args.out)?;
     let options = TrainOptions {
-        start: if args.resume {
-            Start::Resume
-        } else {
-            Start::New
-        },
+        start: if args.resume { Start::Resume } else { Start::New },
         thread_count: args.threads,
         stop: &stop,
         resume_command: &resume_command(std::env::args()),
@@ -73,13 +72,7 @@ pub fn run(args: &TrainArgs) -> Result<()> {
     let checkpoint = train(&data.dataset, &config, &args.out, &options)?;
     println!("{} steps, in {}", checkpoint.state.step, args.out.display());
     let reconstruction = reconstruct(&checkpoint, Source::Float, &data.dataset, &data.bones, 1);
-    print!(
-        "{}",
-        error_table(&[Row {
-            decoder: "float".into(),
-            reconstruction
-        }])
-    );
+    print!("{}", error_table(&[Row { decoder: "float".into(), reconstruction }]));
     Ok(())
 }
 
@@ -156,10 +149,7 @@ mod tests {
     fn resume_command_quotes_and_adds_the_flag_once() {
         let words = ["host-trainer", "train", "my clips", "--out", "it's"].map(String::from);
         let command = resume_command(words.into_iter());
-        assert_eq!(
-            command,
-            r"host-trainer train 'my clips' --out 'it'\''s' --resume"
-        );
+        assert_eq!(command, r"host-trainer train 'my clips' --out 'it'\''s' --resume");
         let again = resume_command(["t", "--resume"].map(String::from).into_iter());
         assert_eq!(again, "t --resume");
     }

@@ -53,11 +53,7 @@ mod tests {
     fn elu_stays_close_to_the_f64_reference() {
         for step in -200_000..=50_000 {
             let x = step as f32 * 1e-3;
-            let reference = if x > 0.0 {
-                f64::from(x)
-            } else {
-                f64::from(x).exp() - 1.0
-            };
+            let reference = if x > 0.0 { f64::from(x) } else { f64::from(x).exp() - 1.0 };
             assert!((f64::from(elu(x)) - reference).abs() < 2e-7, "{x}");
         }
     }

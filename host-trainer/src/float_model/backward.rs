@@ -33,9 +33,7 @@ impl FloatModel {
     /// Computes the wanted gradients of the batch that `forward` just decoded.
     pub fn backward(&self, rows: &Rows<'_>, workspace: &mut Workspace, wanted: Wanted<'_>) {
         let (_, _, blocks) = workspace.parts_and_blocks();
-        blocks
-            .par_iter_mut()
-            .for_each(|block| self.backward_block(block));
+        blocks.par_iter_mut().for_each(|block| self.backward_block(block));
         workspace.sum_first_deltas(rows);
         if let Some(gradient) = wanted.decoder {
             self.decoder_gradient(rows, workspace, gradient, wanted.accumulate);
@@ -82,12 +80,7 @@ impl FloatModel {
         let time_sum = &workspace.time_part[..tau.nrows() * width];
         let first_layer = || {
             let (by_code, by_time) = ([(code_sum, codes)], [(time_sum, tau)]);
-            weight_gradient(
-                &mut first[0],
-                0..code_count,
-                accumulate,
-                by_code.into_iter(),
-            );
+            weight_gradient(&mut first[0], 0..code_count, accumulate, by_code.into_iter());
             weight_gradient(
                 &mut first[0],
                 code_count..self.layers[0].input_count,
@@ -97,20 +90,17 @@ impl FloatModel {
             sum_rows(&mut first[0].bias, accumulate, code_sum.chunks_exact(width));
         };
         let other_layers = || {
-            others
-                .par_iter_mut()
-                .enumerate()
-                .for_each(|(before, layer)| {
-                    let (input_count, output_count) = (layer.input_count, layer.output_count);
-                    let products = workspace.blocks().iter().map(|block| {
-                        let deltas = block.layers[before + 1].deltas(block.rows.len());
-                        let input = block.layers[before].activations(block.rows.len());
-                        (deltas, matrix(input, input_count))
-                    });
-                    weight_gradient(layer, 0..input_count, accumulate, products.clone());
-                    let rows = products.flat_map(|(deltas, _)| deltas.chunks_exact(output_count));
-                    sum_rows(&mut layer.bias, accumulate, rows);
+            others.par_iter_mut().enumerate().for_each(|(before, layer)| {
+                let (input_count, output_count) = (layer.input_count, layer.output_count);
+                let products = workspace.blocks().iter().map(|block| {
+                    let deltas = block.layers[before + 1].deltas(block.rows.len());
+                    let input = block.layers[before].activations(block.rows.len());
+                    (deltas, matrix(input, input_count))
                 });
+                weight_gradient(layer, 0..input_count, accumulate, products.clone());
+                let rows = products.flat_map(|(deltas, _)| deltas.chunks_exact(output_count));
+                sum_rows(&mut layer.bias, accumulate, rows);
+            });
         };
         rayon::join(first_layer, other_layers);
     }
@@ -128,10 +118,7 @@ fn weight_gradient<'a>(
 ) {
     const OUTPUTS_PER_TASK: usize = 64;
     let (input_count, output_count) = (gradient.input_count, gradient.output_count);
-    let tasks = gradient
-        .weights
-        .par_chunks_mut(OUTPUTS_PER_TASK * input_count)
-        .enumerate();
+    let tasks = gradient.weights.par_chunks_mut(OUTPUTS_PER_TASK * input_count).enumerate();
     tasks.for_each(|(task, weights)| {
         let mut accumulate = accumulate;
         let mut target = matrix_mut(weights, input_count).subcols_mut(columns.start, columns.len());
@@ -190,11 +177,7 @@ mod tests {
                 let unit = |(weights, bias): (&[f32], &f32)| {
                     let products = weights.iter().zip(&values).map(|(w, v)| f64::from(*w) * v);
                     let sum = products.sum::<f64>() + f64::from(*bias);
-                    if sum < 0.0 && !is_last {
-                        sum.exp() - 1.0
-                    } else {
-                        sum
-                    }
+                    if sum < 0.0 && !is_last { sum.exp() - 1.0 } else { sum }
                 };
                 let rows = layer.weights.chunks(layer.input_count).zip(&layer.bias);
                 values = rows.map(unit).collect();
@@ -220,9 +203,7 @@ mod tests {
         model.forward(&rows, &mut workspace);
         let poses = workspace.outputs().flatten();
         let loss = 0.5 * poses.map(|pose| f64::from(pose * pose)).sum::<f64>();
-        workspace
-            .outputs_and_deltas()
-            .for_each(|(pose, delta)| delta.copy_from_slice(pose));
+        workspace.outputs_and_deltas().for_each(|(pose, delta)| delta.copy_from_slice(pose));
         let mut decoder: Vec<_> = model.layers.iter().map(DenseLayer::zeros_like).collect();
         let mut codes = vec![0.0; CODES.len()];
         let wanted = Wanted {
@@ -236,10 +217,7 @@ mod tests {
 
     fn assert_close(analytic: f32, numeric: f64, what: &str) {
         let difference = (f64::from(analytic) - numeric).abs();
-        assert!(
-            difference < 1e-5 * (1.0 + numeric.abs()),
-            "{what}: {analytic} {numeric}"
-        );
+        assert!(difference < 1e-5 * (1.0 + numeric.abs()), "{what}: {analytic} {numeric}");
     }
 
     #[test]
@@ -265,11 +243,7 @@ mod tests {
         for (index, layer) in gradient.iter().enumerate() {
             for (weight, slope) in layer.weights.iter().enumerate() {
                 let numeric = quotient(&|model| &mut model.layers[index].weights[weight]);
-                assert_close(
-                    *slope,
-                    numeric,
-                    &format!("weight {weight} of layer {index}"),
-                );
+                assert_close(*slope, numeric, &format!("weight {weight} of layer {index}"));
             }
             for (unit, slope) in layer.bias.iter().enumerate() {
                 let numeric = quotient(&|model| &mut model.layers[index].bias[unit]);
@@ -305,17 +279,11 @@ mod tests {
         };
         let mut workspace = Workspace::new(&model, 2, 3, 5);
         model.forward(&rows, &mut workspace);
-        workspace
-            .outputs_and_deltas()
-            .for_each(|(pose, delta)| delta.copy_from_slice(pose));
+        workspace.outputs_and_deltas().for_each(|(pose, delta)| delta.copy_from_slice(pose));
         let mut alone = once.clone();
         let mut sum = once.clone();
         for (gradient, accumulate) in [(&mut alone, Accum::Replace), (&mut sum, Accum::Add)] {
-            let wanted = Wanted {
-                decoder: Some(gradient),
-                accumulate,
-                codes: None,
-            };
+            let wanted = Wanted { decoder: Some(gradient), accumulate, codes: None };
             let mut workspace = workspace.clone();
             model.backward(&rows, &mut workspace, wanted);
         }

@@ -39,11 +39,7 @@ impl FloatModel {
         let (first, code_count) = (&self.layers[0], self.code_count());
         let code_weights = first.weight_columns(0..code_count);
         let time_weights = first.weight_columns(code_count..first.input_count);
-        multiply_rows(
-            &mut workspace.code_part,
-            rows.codes,
-            code_weights.transpose(),
-        );
+        multiply_rows(&mut workspace.code_part, rows.codes, code_weights.transpose());
         multiply_rows(&mut workspace.time_part, rows.tau, time_weights.transpose());
         workspace.cut(rows.code_of_row.len());
         let (code_part, time_part, blocks) = workspace.parts_and_blocks();
@@ -63,9 +59,7 @@ impl FloatModel {
     ) {
         let width = self.layers[0].output_count;
         let numbers = block.rows.clone();
-        let outputs = block.layers[0]
-            .activations_mut(numbers.len())
-            .chunks_exact_mut(width);
+        let outputs = block.layers[0].activations_mut(numbers.len()).chunks_exact_mut(width);
         for (number, output) in numbers.zip(outputs) {
             let code = &code_part[rows.code_of_row[number] * width..][..width];
             let time = &time_part[rows.moment_of_row[number] * width..][..width];
@@ -86,12 +80,7 @@ impl FloatModel {
             let output = after[0].activations_mut(row_count);
             let input = matrix(before[index - 1].activations(row_count), layer.input_count);
             let target = matrix_mut(output, layer.output_count);
-            multiply(
-                target,
-                Accum::Replace,
-                input,
-                layer.weight_matrix().transpose(),
-            );
+            multiply(target, Accum::Replace, input, layer.weight_matrix().transpose());
             for row in output.chunks_exact_mut(layer.output_count) {
                 self.finish_row(index, row);
             }
@@ -134,12 +123,7 @@ pub(super) fn multiply_rows(target: &mut [f32], left: &[f32], right: MatRef<'_, 
         .for_each(|(target, left)| {
             let left = matrix(left, right.nrows());
             let target = &mut target[..left.nrows() * right.ncols()];
-            multiply(
-                matrix_mut(target, right.ncols()),
-                Accum::Replace,
-                left,
-                right,
-            );
+            multiply(matrix_mut(target, right.ncols()), Accum::Replace, left, right);
         });
 }
 

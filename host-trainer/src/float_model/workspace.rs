@@ -65,11 +65,7 @@ impl Workspace {
             activations: vec![0.0; rows_of_block * width],
             deltas: vec![0.0; rows_of_block * width],
         };
-        let layers = model
-            .layers
-            .iter()
-            .map(|dense| layer(dense.output_count))
-            .collect();
+        let layers = model.layers.iter().map(|dense| layer(dense.output_count)).collect();
         Self {
             code_part: vec![0.0; codes_max * first_width],
             time_part: vec![0.0; moments_max * first_width],
@@ -96,11 +92,7 @@ impl Workspace {
 
     /// The parts of layer 1 by code and by moment, and the blocks that they are for.
     pub(super) fn parts_and_blocks(&mut self) -> (&[f32], &[f32], &mut [Block]) {
-        (
-            &self.code_part,
-            &self.time_part,
-            &mut self.blocks[..self.block_count],
-        )
+        (&self.code_part, &self.time_part, &mut self.blocks[..self.block_count])
     }
 
     /// Layer 1's deltas, summed per code and per moment, in the place of the forward pass's parts.
@@ -116,28 +108,18 @@ impl Workspace {
     pub fn outputs(&self) -> impl Iterator<Item = &[f32]> {
         self.blocks().iter().flat_map(|block| {
             let last = &block.layers[block.layers.len() - 1];
-            last.activations
-                .chunks_exact(last.width)
-                .take(block.rows.len())
+            last.activations.chunks_exact(last.width).take(block.rows.len())
         })
     }
 
     /// Row by row the pose, and the place for the loss's gradient by it that starts the backward pass. // (channel) each
     pub fn outputs_and_deltas(&mut self) -> impl Iterator<Item = (&[f32], &mut [f32])> {
-        self.blocks[..self.block_count]
-            .iter_mut()
-            .flat_map(|block| {
-                let last = block.layers.len() - 1;
-                let BlockLayer {
-                    width,
-                    activations,
-                    deltas,
-                } = &mut block.layers[last];
-                let rows = activations
-                    .chunks_exact(*width)
-                    .zip(deltas.chunks_exact_mut(*width));
-                rows.take(block.rows.len())
-            })
+        self.blocks[..self.block_count].iter_mut().flat_map(|block| {
+            let last = block.layers.len() - 1;
+            let BlockLayer { width, activations, deltas } = &mut block.layers[last];
+            let rows = activations.chunks_exact(*width).zip(deltas.chunks_exact_mut(*width));
+            rows.take(block.rows.len())
+        })
     }
 }
 
@@ -166,10 +148,7 @@ impl BlockLayer {
 
 impl Groups {
     fn with_capacity(groups_max: usize, rows_max: usize) -> Self {
-        Self {
-            starts: Vec::with_capacity(groups_max + 1),
-            rows: Vec::with_capacity(rows_max),
-        }
+        Self { starts: Vec::with_capacity(groups_max + 1), rows: Vec::with_capacity(rows_max) }
     }
 
     /// Sorts rows by their group, keeping their order inside each.

@@ -18,9 +18,9 @@ use std::path::Path;
 use super::files::ClipFile;
 use super::resample::{resample, rounded_rate_hz};
 use super::{ImportOptions, Recordings, Remarks, check_poses, check_rate, with_progress};
+use crate::body::rotation::Rotation;
 use crate::error::{Error, Result};
 use crate::layout::Unit;
-use crate::rotation::Rotation;
 use joint_motion::JointMotion;
 use parser::{Bvh, Channel, Joint};
 
@@ -54,22 +54,13 @@ pub(crate) fn read(
             let frame_count = poses.len() / layout.channel_count();
             let times_s: Vec<f64> = (0..frame_count).map(|i| i as f64 / own_rate_hz).collect();
             poses = resample(&layout, &times_s, &poses, rate_hz);
-            remarks.note(
-                &file.path,
-                format!("resampled to {rate_hz} poses per second"),
-            );
+            remarks.note(&file.path, format!("resampled to {rate_hz} poses per second"));
         }
         check_poses(&file.path, &layout, &poses, options)?;
         motion.clips.push(poses);
     }
     let (Some(motion), Some(rate_hz)) = (motion, set_rate_hz) else {
-        return Err(Error::bad_input(
-            first,
-            "files",
-            "none",
-            "a BVH file",
-            "name a folder",
-        ));
+        return Err(Error::bad_input(first, "files", "none", "a BVH file", "name a folder"));
     };
     Ok(motion.into_recordings(rate_hz, first, remarks))
 }
@@ -82,19 +73,9 @@ fn check_finite(file: &Path, bvh: &Bvh, options: &ImportOptions) -> Result<()> {
         return Ok(());
     };
     let names: Vec<String> = bvh.joints.iter().flat_map(channel_names).collect();
-    let field = format!(
-        "frame {}, {}",
-        index / names.len(),
-        names[index % names.len()]
-    );
+    let field = format!("frame {}, {}", index / names.len(), names[index % names.len()]);
     let remedy = "repair or remove the clip";
-    Err(Error::bad_input(
-        file,
-        field,
-        bvh.values[index],
-        "a finite number",
-        remedy,
-    ))
+    Err(Error::bad_input(file, field, bvh.values[index], "a finite number", remedy))
 }
 
 fn channel_names(joint: &Joint) -> impl Iterator<Item = String> {
@@ -118,13 +99,7 @@ fn check_same_joints(file: &Path, joints: &[Joint], first: &Path, wanted: &[Join
         None => Ok(()),
         Some((joint, wanted)) => {
             let expected = format!("{} in its place, as in {}", wanted.name, first.display());
-            Err(Error::bad_input(
-                file,
-                "joint",
-                &joint.name,
-                expected,
-                remedy,
-            ))
+            Err(Error::bad_input(file, "joint", &joint.name, expected, remedy))
         }
     }
 }
@@ -141,28 +116,16 @@ fn check_rate_is_chosen(
     let value = format!("{own_rate_hz} poses per second");
     let expected = format!("{rate_hz} as in the first file");
     let remedy = "choose one rate for all with --fps";
-    Err(Error::bad_input(
-        file,
-        "Frame Time",
-        value,
-        expected,
-        remedy,
-    ))
+    Err(Error::bad_input(file, "Frame Time", value, expected, remedy))
 }
 
 /// Multiplies offsets and positions.
 fn scale_lengths(bvh: &mut Bvh, scale: f64) {
     let is_position = |channel: &Channel| matches!(channel, Channel::Position(_));
-    let positions: Vec<bool> = bvh
-        .joints
-        .iter()
-        .flat_map(|joint| joint.channels.iter().map(is_position))
-        .collect();
+    let positions: Vec<bool> =
+        bvh.joints.iter().flat_map(|joint| joint.channels.iter().map(is_position)).collect();
     for frame in bvh.values.chunks_exact_mut(positions.len()) {
-        let lengths = frame
-            .iter_mut()
-            .zip(&positions)
-            .filter(|(_, is_position)| **is_position);
+        let lengths = frame.iter_mut().zip(&positions).filter(|(_, is_position)| **is_position);
         lengths.for_each(|(value, _)| *value *= scale);
     }
     for component in bvh.joints.iter_mut().flat_map(|joint| &mut joint.offset) {
@@ -202,11 +165,7 @@ fn transform(joint: &Joint, values: &[f64]) -> ([f64; 3], [f64; 6]) {
         }
     }
     // A NaN angle must show as NaN, where `inspect` tolerates it to report it.
-    let rotation = if is_finite {
-        rotation.to_6d()
-    } else {
-        [f64::NAN; 6]
-    };
+    let rotation = if is_finite { rotation.to_6d() } else { [f64::NAN; 6] };
     (translation, rotation)
 }
 
@@ -241,24 +200,17 @@ mod tests {
     const ARM: [f64; 6] = [10.0, 0.0, 0.0, 0.0, 0.0, 0.0];
 
     fn walking() -> Vec<[[f64; 6]; 3]> {
-        (0..4)
-            .map(|i| [STILL, [f64::from(i), 90.0, 0.0, 0.0, 0.0, 0.0], ARM])
-            .collect()
+        (0..4).map(|i| [STILL, [f64::from(i), 90.0, 0.0, 0.0, 0.0, 0.0], ARM]).collect()
     }
 
     fn imported_with(
         files: &[(&str, String)],
         change: impl Fn(&mut ImportOptions),
     ) -> Result<ClipSet> {
-        let files: Vec<(&str, &[u8])> = files
-            .iter()
-            .map(|(name, text)| (*name, text.as_bytes()))
-            .collect();
+        let files: Vec<(&str, &[u8])> =
+            files.iter().map(|(name, text)| (*name, text.as_bytes())).collect();
         let folder = folder(&files);
-        let mut options = ImportOptions {
-            tolerate_missing_labels: true,
-            ..Default::default()
-        };
+        let mut options = ImportOptions { tolerate_missing_labels: true, ..Default::default() };
         change(&mut options);
         import(folder.path(), &options)
     }
@@ -278,16 +230,9 @@ mod tests {
         let mut frames = walking();
         frames[2][1][3] = f64::NAN;
         let files = [("a.bvh", body(&frames))];
-        assert_refused(
-            imported(&files),
-            &["a.bvh", "frame 2, Hips Zrotation", "NaN"],
-        );
+        assert_refused(imported(&files), &["a.bvh", "frame 2, Hips Zrotation", "NaN"]);
         let set = imported_with(&files, |options| options.tolerate_non_finite = true).unwrap();
-        let count = set.clips[0]
-            .poses
-            .iter()
-            .filter(|value| value.is_nan())
-            .count();
+        let count = set.clips[0].poses.iter().filter(|value| value.is_nan()).count();
         assert_eq!(count, 9, "the folded hips of one frame are not known");
     }
 
@@ -306,22 +251,12 @@ mod tests {
     fn different_rates_are_refused_until_one_is_chosen() {
         let faster = body(&walking()).replace("0.05", "0.025");
         let files = [("a.bvh", body(&walking())), ("b.bvh", faster)];
-        assert_refused(
-            imported(&files),
-            &["b.bvh", "40 poses per second", "20 as in", "--fps"],
-        );
+        assert_refused(imported(&files), &["b.bvh", "40 poses per second", "20 as in", "--fps"]);
         let set = imported_with(&files, |options| options.rate_hz = Some(20.0)).unwrap();
-        let lengths: Vec<usize> = set
-            .clips
-            .iter()
-            .map(|clip| clip.frame_count(&set.layout))
-            .collect();
+        let lengths: Vec<usize> =
+            set.clips.iter().map(|clip| clip.frame_count(&set.layout)).collect();
         assert_eq!(lengths, [4, 2]);
-        assert!(
-            set.remarks
-                .iter()
-                .any(|remark| remark.contains("b.bvh: resampled to 20"))
-        );
+        assert!(set.remarks.iter().any(|remark| remark.contains("b.bvh: resampled to 20")));
     }
 
     #[test]
@@ -334,12 +269,7 @@ mod tests {
     fn rotations_multiply_in_listed_order() {
         let frame = [STILL, [0.0, 0.0, 0.0, 90.0, 90.0, 0.0], ARM];
         let set = imported(&[("a.bvh", body(&[frame, frame]))]).unwrap();
-        let hips = set
-            .layout
-            .ranges()
-            .find(|(group, _)| group.name == "Hips")
-            .unwrap()
-            .1;
+        let hips = set.layout.ranges().find(|(group, _)| group.name == "Hips").unwrap().1;
         // Rz(90) · Rx(90): y goes to z by the second and stays there by the first; x goes to y.
         let expected = [0.0, 0.0, 1.0, 1.0, 0.0, 0.0];
         for (value, expected) in set.clips[0].poses[hips].iter().zip(expected) {
@@ -350,30 +280,21 @@ mod tests {
     #[test]
     fn still_translations_are_bones_and_still_roots_are_folded() {
         let set = imported(&[("a.bvh", body(&walking()))]).unwrap();
-        let groups: Vec<&str> = set
-            .layout
-            .groups
-            .iter()
-            .map(|group| group.name.as_str())
-            .collect();
+        let groups: Vec<&str> = set.layout.groups.iter().map(|group| group.name.as_str()).collect();
         assert_eq!(groups, ["root", "Hips", "Arm", "Leg"]);
         assert_eq!(set.clips[0].poses[21..24], [1.0, 90.0, 0.0]);
         let skeleton = set.skeleton.unwrap();
         assert_eq!(skeleton.names, ["Hips", "Arm", "Leg"]);
         assert_eq!(skeleton.parents, [None, Some(0), Some(0)]);
-        assert_eq!(
-            skeleton.offsets,
-            [[0.0; 3], [10.0, 0.0, 0.0], [0.0, -40.0, 0.0]]
-        );
+        assert_eq!(skeleton.offsets, [[0.0; 3], [10.0, 0.0, 0.0], [0.0, -40.0, 0.0]]);
         assert!(set.remarks[0].contains("World is folded into Hips"));
     }
 
     #[test]
     fn folding_keeps_the_child_where_it_is_in_the_world() {
         let world = [5.0, 0.0, 0.0, 90.0, 0.0, 0.0];
-        let frames: Vec<_> = (0..3)
-            .map(|i| [world, [f64::from(i), 0.0, 0.0, 90.0, 0.0, 0.0], ARM])
-            .collect();
+        let frames: Vec<_> =
+            (0..3).map(|i| [world, [f64::from(i), 0.0, 0.0, 90.0, 0.0, 0.0], ARM]).collect();
         let set = imported(&[("a.bvh", body(&frames))]).unwrap();
         // The root turns x into y, so that hips at x = 2 stand at (5, 2, 0); two quarter turns are
         // a half turn.
@@ -391,11 +312,7 @@ mod tests {
         let set = imported(&[("a.bvh", body(&frames))]).unwrap();
         let names = set.layout.channel_names().join(" ");
         assert!(names.contains("Arm_translation_y_cm"), "{names}");
-        assert!(
-            set.remarks
-                .iter()
-                .any(|remark| remark.contains("Arm also travels"))
-        );
+        assert!(set.remarks.iter().any(|remark| remark.contains("Arm also travels")));
     }
 
     #[test]
@@ -403,11 +320,7 @@ mod tests {
         let tall = body(&walking()).replace(" 10 0 0 0 0 0 0 -40", " 12 0 0 0 0 0 0 -40");
         let set = imported(&[("a.bvh", body(&walking())), ("b.bvh", tall)]).unwrap();
         assert_eq!(set.skeleton.unwrap().offsets[1], [11.0, 0.0, 0.0]);
-        assert!(
-            set.remarks
-                .iter()
-                .any(|remark| remark.contains("by up to 1.000 cm"))
-        );
+        assert!(set.remarks.iter().any(|remark| remark.contains("by up to 1.000 cm")));
     }
 
     #[test]
@@ -425,12 +338,7 @@ mod tests {
     #[test]
     fn joint_called_root_makes_room_for_the_translation() {
         let set = imported(&[("a.bvh", body(&walking()).replace("Hips", "root"))]).unwrap();
-        let names: Vec<&str> = set
-            .layout
-            .groups
-            .iter()
-            .map(|group| group.name.as_str())
-            .collect();
+        let names: Vec<&str> = set.layout.groups.iter().map(|group| group.name.as_str()).collect();
         assert_eq!(names, ["root", "root_joint", "Arm", "Leg"]);
     }
 }

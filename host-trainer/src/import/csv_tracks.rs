@@ -46,15 +46,10 @@ pub(crate) fn read(
         let layout = layout.get_or_insert_with(|| tracks.layout.clone());
         if tracks.layout != *layout {
             let value = tracks.layout.channel_names().join(",");
-            let expected = format!(
-                "{} as in {}",
-                layout.channel_names().join(","),
-                first.display()
-            );
+            let expected =
+                format!("{} as in {}", layout.channel_names().join(","), first.display());
             let remedy = "give all files the same columns";
-            return Err(Error::bad_input(
-                &file.path, "header", value, expected, remedy,
-            ));
+            return Err(Error::bad_input(&file.path, "header", value, expected, remedy));
         }
         check_poses(&file.path, layout, &tracks.poses, options)?;
         let regular = regular_poses(&file.path, tracks, &mut set_rate_hz, remarks)?;
@@ -81,13 +76,7 @@ fn regular_poses(
         let expected = "a column time_s, or --fps RATE";
         return match set_rate_hz {
             Some(_) => Ok(tracks.poses),
-            None => Err(Error::bad_input(
-                file,
-                "rate",
-                "unknown",
-                expected,
-                "add one of them",
-            )),
+            None => Err(Error::bad_input(file, "rate", "unknown", expected, "add one of them")),
         };
     };
     let rate_hz = *set_rate_hz.get_or_insert_with(|| rate_of(times_s));
@@ -113,10 +102,8 @@ fn rate_of(times_s: &[f64]) -> f64 {
 
 /// Decodes one file; times are checked, values only for being numbers.
 fn parse(file: &Path, bytes: &[u8], options: &ImportOptions) -> Result<Tracks> {
-    let mut reader = csv::ReaderBuilder::new()
-        .comment(Some(b'#'))
-        .trim(csv::Trim::All)
-        .from_reader(bytes);
+    let mut reader =
+        csv::ReaderBuilder::new().comment(Some(b'#')).trim(csv::Trim::All).from_reader(bytes);
     let malformed = |error: csv::Error| {
         let expected = "rows of as many values as the header has columns";
         Error::bad_input(file, "table", error, expected, "correct the line")
@@ -137,13 +124,7 @@ fn parse(file: &Path, bytes: &[u8], options: &ImportOptions) -> Result<Tracks> {
             let Some(number) = number.filter(is_usable) else {
                 let field = format!("line {line}, column {}", &header[index]);
                 let remedy = "correct the line";
-                return Err(Error::bad_input(
-                    file,
-                    field,
-                    text,
-                    "a finite number",
-                    remedy,
-                ));
+                return Err(Error::bad_input(file, field, text, "a finite number", remedy));
             };
             match is_time {
                 true => times_s.push(number),
@@ -152,14 +133,8 @@ fn parse(file: &Path, bytes: &[u8], options: &ImportOptions) -> Result<Tracks> {
         }
         lines.push(line);
     }
-    check_times(file, &times_s, |index| {
-        format!("line {}, column {TIME_COLUMN}", lines[index])
-    })?;
-    Ok(Tracks {
-        layout,
-        times_s: has_time.then_some(times_s),
-        poses,
-    })
+    check_times(file, &times_s, |index| format!("line {}, column {TIME_COLUMN}", lines[index]))?;
+    Ok(Tracks { layout, times_s: has_time.then_some(times_s), poses })
 }
 
 fn layout_of(file: &Path, header: &csv::StringRecord) -> Result<PoseLayout> {
@@ -172,42 +147,20 @@ fn layout_of(file: &Path, header: &csv::StringRecord) -> Result<PoseLayout> {
             let suffixes = UNITS.map(Unit::suffix).join(", ");
             let expected =
                 format!("<name>_<unit>, unit one of {suffixes}, columns split by commas");
-            return Err(Error::bad_input(
-                file,
-                field,
-                column,
-                expected,
-                "rename the column",
-            ));
+            return Err(Error::bad_input(file, field, column, expected, "rename the column"));
         };
         if layout.groups.iter().any(|group| group.name == name) {
             let expected = "a name that no other column has";
-            return Err(Error::bad_input(
-                file,
-                field,
-                column,
-                expected,
-                "rename the column",
-            ));
+            return Err(Error::bad_input(file, field, column, expected, "rename the column"));
         }
-        layout.groups.push(Group {
-            name: name.into(),
-            kind: GroupKind::Scalar,
-            unit,
-        });
+        layout.groups.push(Group { name: name.into(), kind: GroupKind::Scalar, unit });
     }
     match layout.groups.is_empty() {
         false => Ok(layout),
         true => {
             let value = format!("{:?}", header.iter().collect::<Vec<_>>().join(","));
             let expected = "time_s and at least one <name>_<unit>";
-            Err(Error::bad_input(
-                file,
-                "header",
-                value,
-                expected,
-                "add the header line",
-            ))
+            Err(Error::bad_input(file, "header", value, expected, "add the header line"))
         }
     }
 }
@@ -215,9 +168,7 @@ fn layout_of(file: &Path, header: &csv::StringRecord) -> Result<PoseLayout> {
 fn name_and_unit(column: &str) -> Option<(&str, Unit)> {
     let (name, suffix) = column.rsplit_once('_')?;
     let is_name = !name.is_empty() && !name.contains([';', '\t']);
-    unit_of_suffix(suffix)
-        .filter(|_| is_name)
-        .map(|unit| (name, unit))
+    unit_of_suffix(suffix).filter(|_| is_name).map(|unit| (name, unit))
 }
 
 #[cfg(test)]
@@ -230,45 +181,28 @@ mod tests {
     use crate::clip::ClipSet;
 
     fn imported_at(rate_hz: Option<f64>, files: &[(&str, &str)]) -> Result<ClipSet> {
-        let files: Vec<(&str, &[u8])> = files
-            .iter()
-            .map(|(name, text)| (*name, text.as_bytes()))
-            .collect();
+        let files: Vec<(&str, &[u8])> =
+            files.iter().map(|(name, text)| (*name, text.as_bytes())).collect();
         let folder = folder(&files);
-        let options = ImportOptions {
-            rate_hz,
-            tolerate_missing_labels: true,
-            ..Default::default()
-        };
+        let options =
+            ImportOptions { rate_hz, tolerate_missing_labels: true, ..Default::default() };
         import(folder.path(), &options)
     }
 
     fn refused(text: &str, words: &[&str]) {
-        assert_refused(
-            imported_at(None, &[("nod.csv", text)]),
-            &[&["nod.csv"], words].concat(),
-        );
+        assert_refused(imported_at(None, &[("nod.csv", text)]), &[&["nod.csv"], words].concat());
     }
 
     #[test]
     fn headers_without_names_or_units_are_refused() {
         refused("", &["header", "time_s and at least one"]);
         refused("time_s\n0\n1\n", &["header", "at least one"]);
-        refused(
-            "time_s,jaw\n0,1\n",
-            &["header, column 2 is jaw", "<name>_<unit>", "us"],
-        );
+        refused("time_s,jaw\n0,1\n", &["header, column 2 is jaw", "<name>_<unit>", "us"]);
         refused("time_s,jaw_furlong\n0,1\n", &["jaw_furlong"]);
         refused("time_s,_deg\n0,1\n", &["column 2 is _deg"]);
-        refused(
-            "time_s;jaw_deg\n0;1\n",
-            &["time_s;jaw_deg", "split by commas"],
-        );
+        refused("time_s;jaw_deg\n0;1\n", &["time_s;jaw_deg", "split by commas"]);
         refused("0.0,1.5\n0.1,1.6\n", &["header, column 1 is 0.0"]);
-        refused(
-            "time_s,jaw_deg,jaw_rad\n0,1,1\n",
-            &["column 3", "no other column"],
-        );
+        refused("time_s,jaw_deg,jaw_rad\n0,1,1\n", &["column 3", "no other column"]);
     }
 
     #[test]
@@ -278,10 +212,7 @@ mod tests {
             let text = format!("# made by hand\ntime_s,jaw_deg\n0,1\n0.1,{value}\n");
             refused(&text, &words);
         }
-        refused(
-            "time_s,jaw_deg\n0,1\nx,2\n",
-            &["line 3, column time_s is x"],
-        );
+        refused("time_s,jaw_deg\n0,1\nx,2\n", &["line 3, column time_s is x"]);
     }
 
     #[test]
@@ -292,10 +223,7 @@ mod tests {
 
     #[test]
     fn times_that_go_back_are_refused_with_their_line() {
-        refused(
-            "time_s,jaw_deg\n0,1\n#\n0.1,2\n0.1,3\n",
-            &["line 5, column time_s"],
-        );
+        refused("time_s,jaw_deg\n0,1\n#\n0.1,2\n0.1,3\n", &["line 5, column time_s"]);
     }
 
     #[test]
@@ -311,10 +239,7 @@ mod tests {
 
     #[test]
     fn rate_that_no_body_has_is_refused() {
-        refused(
-            "time_s,jaw_deg\n0,1\n0.00001,2\n",
-            &["rate is 100000", "1.0..=1000.0"],
-        );
+        refused("time_s,jaw_deg\n0,1\n0.00001,2\n", &["rate is 100000", "1.0..=1000.0"]);
     }
 
     #[test]
@@ -330,20 +255,14 @@ mod tests {
             "\u{feff}# a comment\r\ntime_s, jaw_deg ,eye_lid_us\r\n0, 1.5,1500\r\n0.02,2,1501\r\n";
         let set = imported_at(None, &[("nod.csv", text)]).unwrap();
         assert_eq!(set.layout.channel_names(), ["jaw_deg", "eye_lid_us"]);
-        assert_eq!(
-            (set.rate_hz, &set.clips[0].poses[..]),
-            (50.0, &[1.5, 1500.0, 2.0, 1501.0][..])
-        );
+        assert_eq!((set.rate_hz, &set.clips[0].poses[..]), (50.0, &[1.5, 1500.0, 2.0, 1501.0][..]));
         assert_eq!(set.remarks, Vec::<String>::new());
     }
 
     #[test]
     fn file_without_time_runs_at_the_given_rate() {
         let set = imported_at(Some(25.0), &[("nod.csv", "jaw_deg\n1\n2\n")]).unwrap();
-        assert_eq!(
-            (set.rate_hz, &set.clips[0].poses[..]),
-            (25.0, &[1.0, 2.0][..])
-        );
+        assert_eq!((set.rate_hz, &set.clips[0].poses[..]), (25.0, &[1.0, 2.0][..]));
     }
 
     #[test]
@@ -362,10 +281,7 @@ mod tests {
             ("b.csv", "time_s,jaw_deg\n0,0\n0.05,1\n0.1,2\n"),
         ];
         let set = imported_at(None, &files).unwrap();
-        assert_eq!(
-            (set.rate_hz, set.clips[1].poses.as_slice()),
-            (10.0, &[0.0, 2.0][..])
-        );
+        assert_eq!((set.rate_hz, set.clips[1].poses.as_slice()), (10.0, &[0.0, 2.0][..]));
         let set = imported_at(Some(20.0), &files).unwrap();
         assert_eq!((set.rate_hz, set.clips[0].poses.len()), (20.0, 5));
     }

@@ -38,11 +38,8 @@ pub(crate) fn find(
     remarks: &mut Remarks,
 ) -> Result<(Format, Vec<ClipFile>)> {
     let metadata = fs::metadata(path).map_err(Error::io("read", path))?;
-    let mut paths = if metadata.is_dir() {
-        candidates(path, options)?
-    } else {
-        vec![path.to_path_buf()]
-    };
+    let mut paths =
+        if metadata.is_dir() { candidates(path, options)? } else { vec![path.to_path_buf()] };
     let format = options.format.or_else(|| detect(&paths));
     let Some(format) = format else {
         return Err(no_clips(path, "nothing that looks like a clip"));
@@ -55,10 +52,7 @@ pub(crate) fn find(
     }
     if others > paths.len() {
         let (ignored, extension) = (others - paths.len(), format.extension());
-        remarks.note(
-            path,
-            format!("{ignored} files other than .{extension} ignored"),
-        );
+        remarks.note(path, format!("{ignored} files other than .{extension} ignored"));
     }
     Ok((format, name_clips(paths)?))
 }
@@ -72,11 +66,7 @@ fn candidates(folder: &Path, options: &ImportOptions) -> Result<Vec<PathBuf>> {
         path.is_file() && format_of(path).is_some_and(is_wanted) && !is_labels
     };
     let entries = list(folder)?;
-    let mut paths: Vec<PathBuf> = entries
-        .iter()
-        .filter(|path| is_clip(path))
-        .cloned()
-        .collect();
+    let mut paths: Vec<PathBuf> = entries.iter().filter(|path| is_clip(path)).cloned().collect();
     if paths.is_empty() {
         for subfolder in entries.iter().filter(|path| path.is_dir()) {
             paths.extend(list(subfolder)?.into_iter().filter(|path| is_clip(path)));
@@ -105,9 +95,7 @@ fn detect(paths: &[PathBuf]) -> Option<Format> {
 
 fn format_of(path: &Path) -> Option<Format> {
     let extension = path.extension()?.to_str()?.to_ascii_lowercase();
-    Format::ALL
-        .into_iter()
-        .find(|format| format.extension() == extension)
+    Format::ALL.into_iter().find(|format| format.extension() == extension)
 }
 
 fn name_clips(paths: Vec<PathBuf>) -> Result<Vec<ClipFile>> {
@@ -117,10 +105,7 @@ fn name_clips(paths: Vec<PathBuf>) -> Result<Vec<ClipFile>> {
         .iter()
         .map(|path| {
             let stem = path.file_stem().unwrap_or_default().to_string_lossy();
-            let mut file = ClipFile {
-                name: stem.into_owned(),
-                path: path.clone(),
-            };
+            let mut file = ClipFile { name: stem.into_owned(), path: path.clone() };
             if is_scattered {
                 file.name = format!("{}/{}", file.folder_name(), file.name);
             }
@@ -133,26 +118,14 @@ fn name_clips(paths: Vec<PathBuf>) -> Result<Vec<ClipFile>> {
         Some(pair) => {
             let expected = format!("a name other than that of {}", pair[0].path.display());
             let (path, name) = (&pair[1].path, &pair[1].name);
-            Err(Error::bad_input(
-                path,
-                "clip name",
-                name,
-                expected,
-                "rename one of the two",
-            ))
+            Err(Error::bad_input(path, "clip name", name, expected, "rename one of the two"))
         }
     }
 }
 
 fn no_clips(path: &Path, value: &str) -> Error {
     let expected = "clip files (.npy, .bvh, .json, .csv) in it or in its subfolders";
-    Error::bad_input(
-        path,
-        "path",
-        value,
-        expected,
-        "name the folder that holds the clips",
-    )
+    Error::bad_input(path, "path", value, expected, "name the folder that holds the clips")
 }
 
 #[cfg(test)]
@@ -178,19 +151,13 @@ mod tests {
     fn folder_without_clips_is_refused() {
         let folder = folder(&[("readme.txt", b""), ("labels.csv", b"clip,action\n")]);
         let result = find_in(folder.path(), &ImportOptions::default());
-        assert_refused(
-            result,
-            &["nothing that looks like a clip", ".npy, .bvh, .json, .csv"],
-        );
+        assert_refused(result, &["nothing that looks like a clip", ".npy, .bvh, .json, .csv"]);
     }
 
     #[test]
     fn folder_without_clips_of_the_wanted_format_is_refused() {
         let folder = folder(&[("a.json", b"{}")]);
-        let options = ImportOptions {
-            format: Some(Format::Bvh),
-            ..Default::default()
-        };
+        let options = ImportOptions { format: Some(Format::Bvh), ..Default::default() };
         assert_refused(find_in(folder.path(), &options), &["without any .bvh file"]);
     }
 
@@ -203,11 +170,7 @@ mod tests {
 
     #[test]
     fn clips_of_one_subfolder_keep_their_short_names() {
-        let folder = folder(&[
-            ("clips/b.npy", b""),
-            ("clips/a.npy", b""),
-            ("labels.csv", b""),
-        ]);
+        let folder = folder(&[("clips/b.npy", b""), ("clips/a.npy", b""), ("labels.csv", b"")]);
         let (format, files) = find_in(folder.path(), &ImportOptions::default()).unwrap();
         assert_eq!((format, names(&files)), (Format::Npy, vec!["a", "b"]));
     }
@@ -234,10 +197,7 @@ mod tests {
     #[test]
     fn single_file_is_a_set_of_one() {
         let folder = folder(&[("a.dat", b"")]);
-        let options = ImportOptions {
-            format: Some(Format::Csv),
-            ..Default::default()
-        };
+        let options = ImportOptions { format: Some(Format::Csv), ..Default::default() };
         let (_, files) = find_in(&folder.path().join("a.dat"), &options).unwrap();
         assert_eq!(names(&files), ["a"]);
     }

@@ -23,13 +23,7 @@ pub(crate) fn join(
     if !unknown.is_empty() {
         let expected = "every label of the clips in one of the groups";
         let remedy = "add them to a group";
-        return Err(Error::bad_input(
-            path,
-            "missing labels",
-            unknown.join(", "),
-            expected,
-            remedy,
-        ));
+        return Err(Error::bad_input(path, "missing labels", unknown.join(", "), expected, remedy));
     }
     for unused in actions.keys().filter(|name| !used.contains(name)) {
         remarks.note(path, format!("label {unused} occurs in no clip"));
@@ -45,26 +39,14 @@ fn read_groups(path: &Path) -> Result<BTreeMap<String, String>> {
     let text = fs::read_to_string(path).map_err(Error::io("read", path))?;
     let groups: BTreeMap<String, Vec<String>> = toml::from_str(&text).map_err(|error| {
         let expected = "lines such as happy = [\"cheerful\", \"laughing\"]";
-        Error::bad_input(
-            path,
-            "groups",
-            error.message(),
-            expected,
-            "correct the file",
-        )
+        Error::bad_input(path, "groups", error.message(), expected, "correct the file")
     })?;
     let mut actions = BTreeMap::new();
     for (action, names) in groups {
         for name in names {
             if let Some(first) = actions.insert(name.clone(), action.clone()) {
                 let value = format!("in {first} and in {action}");
-                return Err(Error::bad_input(
-                    path,
-                    name,
-                    value,
-                    "one group",
-                    "delete it from one",
-                ));
+                return Err(Error::bad_input(path, name, value, "one group", "delete it from one"));
             }
         }
     }

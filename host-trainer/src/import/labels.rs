@@ -92,9 +92,7 @@ pub(crate) fn actions(
             let value = format!("missing (as for {count} of {} clips)", files.len());
             let expected = "a row in labels.csv, a match of --label-pattern, or --label-folder";
             let remedy = "add the row, or remove the clip";
-            Err(Error::bad_input(
-                &file.path, "label", value, expected, remedy,
-            ))
+            Err(Error::bad_input(&file.path, "label", value, expected, remedy))
         }
     }
 }
@@ -149,17 +147,12 @@ fn by_table(
     let mut table = read_table(path, options)?;
     let mut take = |file: &ClipFile| {
         let file_name = file.path.file_name().unwrap_or_default().to_string_lossy();
-        table
-            .remove(&file.name)
-            .or_else(|| table.remove(file_name.as_ref()))
+        table.remove(&file.name).or_else(|| table.remove(file_name.as_ref()))
     };
     let labels = files.iter().map(&mut take).collect();
     if let Some(first) = table.keys().min() {
         let count = table.len();
-        remarks.note(
-            path,
-            format!("{count} labels without a clip file (first: {first})"),
-        );
+        remarks.note(path, format!("{count} labels without a clip file (first: {first})"));
     }
     Ok(labels)
 }
@@ -167,9 +160,7 @@ fn by_table(
 /// Reads clip name → action.
 fn read_table(path: &Path, options: &LabelOptions) -> Result<HashMap<String, String>> {
     let bytes = fs::read(path).map_err(Error::io("read", path))?;
-    let mut reader = csv::ReaderBuilder::new()
-        .trim(csv::Trim::All)
-        .from_reader(bytes.as_slice());
+    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(bytes.as_slice());
     let malformed = |error: csv::Error| {
         let expected = "a table of comma-separated values in UTF-8";
         Error::bad_input(path, "table", error, expected, "correct the line")
@@ -187,13 +178,7 @@ fn read_table(path: &Path, options: &LabelOptions) -> Result<HashMap<String, Str
             let line = record.position().map_or(0, csv::Position::line);
             let field = format!("line {line}, clip {clip}");
             let expected = format!("one row per clip (an earlier one says {first})");
-            return Err(Error::bad_input(
-                path,
-                field,
-                action,
-                expected,
-                "delete one",
-            ));
+            return Err(Error::bad_input(path, field, action, expected, "delete one"));
         }
     }
     Ok(table)
@@ -246,22 +231,11 @@ mod tests {
             other => other,
         };
         let groups = labels.groups.map(|name| folder.path().join(name));
-        let labels = LabelOptions {
-            source,
-            groups,
-            ..labels
-        };
-        let options = ImportOptions {
-            labels,
-            format: Some(Format::Npy),
-            ..Default::default()
-        };
+        let labels = LabelOptions { source, groups, ..labels };
+        let options = ImportOptions { labels, format: Some(Format::Npy), ..Default::default() };
         let mut remarks = Remarks::default();
         let (_, files) = files::find(folder.path(), &options, &mut remarks)?;
-        Ok((
-            actions(&files, &options, &mut remarks)?,
-            remarks.into_lines(),
-        ))
+        Ok((actions(&files, &options, &mut remarks)?, remarks.into_lines()))
     }
 
     const CLIPS: [(&str, &[u8]); 2] = [("walk1.npy", b""), ("wave1.npy", b"")];
@@ -272,25 +246,15 @@ mod tests {
 
     #[test]
     fn clip_without_any_label_is_refused() {
-        let words = [
-            "walk1.npy",
-            "missing (as for 2 of 2 clips)",
-            "--label-pattern",
-        ];
+        let words = ["walk1.npy", "missing (as for 2 of 2 clips)", "--label-pattern"];
         assert_refused(label(&CLIPS, LabelOptions::default()), &words);
     }
 
     #[test]
     fn clip_without_a_row_or_with_an_empty_one_is_refused() {
-        for table in [
-            &b"clip,action\nwalk1,walk\n"[..],
-            b"clip,action\nwalk1,walk\nwave1,\n",
-        ] {
+        for table in [&b"clip,action\nwalk1,walk\n"[..], b"clip,action\nwalk1,walk\nwave1,\n"] {
             let result = label(&with("labels.csv", table), LabelOptions::default());
-            assert_refused(
-                result,
-                &["wave1.npy", "label is missing (as for 1 of 2 clips)"],
-            );
+            assert_refused(result, &["wave1.npy", "label is missing (as for 1 of 2 clips)"]);
         }
     }
 
@@ -298,10 +262,7 @@ mod tests {
     fn clip_with_two_rows_is_refused() {
         let table = b"clip,action\nwalk1,walk\nwave1,wave\nwalk1,run\n";
         let result = label(&with("labels.csv", table), LabelOptions::default());
-        assert_refused(
-            result,
-            &["labels.csv", "line 4, clip walk1", "run", "says walk"],
-        );
+        assert_refused(result, &["labels.csv", "line 4, clip walk1", "run", "says walk"]);
     }
 
     #[test]
@@ -313,10 +274,8 @@ mod tests {
 
     #[test]
     fn table_that_is_no_text_is_refused() {
-        let result = label(
-            &with("labels.csv", b"clip,action\n\xff,\xfe\n"),
-            LabelOptions::default(),
-        );
+        let result =
+            label(&with("labels.csv", b"clip,action\n\xff,\xfe\n"), LabelOptions::default());
         assert_refused(result, &["labels.csv", "UTF-8"]);
         let result = label(&with("labels.csv", b""), LabelOptions::default());
         assert_refused(result, &["labels.csv", "header"]);
@@ -329,25 +288,10 @@ mod tests {
         let result = label(&entries, LabelOptions::default());
         assert_refused(result, &["clip,coarse,fine", "--label-action-column"]);
         let action_column = Some("course".into());
-        let result = label(
-            &entries,
-            LabelOptions {
-                action_column,
-                ..Default::default()
-            },
-        );
-        assert_refused(
-            result,
-            &["--label-action-column is course", "clip, coarse, fine"],
-        );
+        let result = label(&entries, LabelOptions { action_column, ..Default::default() });
+        assert_refused(result, &["--label-action-column is course", "clip, coarse, fine"]);
         let clip_column = Some("name".into());
-        let result = label(
-            &entries,
-            LabelOptions {
-                clip_column,
-                ..Default::default()
-            },
-        );
+        let result = label(&entries, LabelOptions { clip_column, ..Default::default() });
         assert_refused(result, &["--label-clip-column is name"]);
     }
 
@@ -368,10 +312,7 @@ mod tests {
     #[test]
     fn labels_without_a_group_are_listed() {
         let labels = LabelOptions::default().with_pattern(r"^([a-z]+)").unwrap();
-        let labels = LabelOptions {
-            groups: Some("groups.toml".into()),
-            ..labels
-        };
+        let labels = LabelOptions { groups: Some("groups.toml".into()), ..labels };
         let result = label(&with("groups.toml", b"calm = ['sit']"), labels);
         assert_refused(result, &["groups.toml", "missing labels", "walk, wave"]);
     }
@@ -379,10 +320,7 @@ mod tests {
     #[test]
     fn unusable_groups_are_refused() {
         let labels = LabelOptions::default().with_pattern(r"^([a-z]+)").unwrap();
-        let labels = LabelOptions {
-            groups: Some("groups.toml".into()),
-            ..labels
-        };
+        let labels = LabelOptions { groups: Some("groups.toml".into()), ..labels };
         for text in ["calm = 'walk'", "calm ["] {
             let result = label(&with("groups.toml", text.as_bytes()), labels.clone());
             assert_refused(result, &["groups.toml", "happy = ["]);
@@ -395,11 +333,8 @@ mod tests {
     #[test]
     fn table_labels_by_name_or_file_name_and_unused_rows_are_remarked() {
         let table = "\u{feff}clip , action\nwave1.npy, wave\nwalk1,walk\nrun1,run\n";
-        let (actions, remarks) = label(
-            &with("labels.csv", table.as_bytes()),
-            LabelOptions::default(),
-        )
-        .unwrap();
+        let (actions, remarks) =
+            label(&with("labels.csv", table.as_bytes()), LabelOptions::default()).unwrap();
         assert_eq!(actions, ["walk", "wave"]);
         assert!(remarks[0].ends_with("1 labels without a clip file (first: run1)"));
     }
@@ -413,21 +348,13 @@ mod tests {
             action_column: Some("what".into()),
             groups: None,
         };
-        assert_eq!(
-            label(&with("table.csv", table), labels).unwrap().0,
-            ["stroll", "greet"]
-        );
+        assert_eq!(label(&with("table.csv", table), labels).unwrap().0, ["stroll", "greet"]);
     }
 
     #[test]
     fn pattern_and_groups_join_labels() {
-        let labels = LabelOptions::default()
-            .with_pattern(r"^([a-z_]+?)\d+$")
-            .unwrap();
-        let labels = LabelOptions {
-            groups: Some("groups.toml".into()),
-            ..labels
-        };
+        let labels = LabelOptions::default().with_pattern(r"^([a-z_]+?)\d+$").unwrap();
+        let labels = LabelOptions { groups: Some("groups.toml".into()), ..labels };
         let text = b"lively = ['walk', 'wave', 'run']";
         let (actions, remarks) = label(&with("groups.toml", text), labels).unwrap();
         assert_eq!(actions, ["lively", "lively"]);
@@ -440,10 +367,7 @@ mod tests {
         let (actions, _) = label(&entries, LabelOptions::default()).unwrap();
         assert_eq!(actions, ["nod", "wave"]);
         let entries: [(&str, &[u8]); 1] = [("nod/1.npy", b"")];
-        let labels = LabelOptions {
-            source: LabelSource::Folder,
-            ..Default::default()
-        };
+        let labels = LabelOptions { source: LabelSource::Folder, ..Default::default() };
         assert_eq!(label(&entries, labels).unwrap().0, ["nod"]);
     }
 }

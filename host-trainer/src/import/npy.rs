@@ -26,13 +26,7 @@ pub(crate) fn read(files: &[ClipFile], options: &ImportOptions) -> Result<Record
     let first = &files[0].path;
     let Some(rate_hz) = options.rate_hz else {
         let expected = "a rate: .npy files do not name one";
-        return Err(Error::bad_input(
-            first,
-            "rate",
-            "unknown",
-            expected,
-            "add --fps RATE",
-        ));
+        return Err(Error::bad_input(first, "rate", "unknown", expected, "add --fps RATE"));
     };
     let mut layout: Option<(PoseLayout, Vec<usize>)> = None;
     let mut poses = Vec::with_capacity(files.len());
@@ -46,18 +40,15 @@ pub(crate) fn read(files: &[ClipFile], options: &ImportOptions) -> Result<Record
         let pose_shape = array.shape[1..].to_vec();
         let (layout, first_shape) = match &mut layout {
             Some(layout) => layout,
-            None => layout.insert((
-                layout_of(&file.path, &pose_shape, options)?,
-                pose_shape.clone(),
-            )),
+            None => {
+                layout.insert((layout_of(&file.path, &pose_shape, options)?, pose_shape.clone()))
+            }
         };
         if *first_shape != pose_shape {
             let expected = format!("(frames, {}) as in {}", list(first_shape), first.display());
             let remedy = "import clips of different bodies separately";
             let value = shape_text(&array.shape);
-            return Err(Error::bad_input(
-                &file.path, "shape", value, expected, remedy,
-            ));
+            return Err(Error::bad_input(&file.path, "shape", value, expected, remedy));
         }
         check_poses(&file.path, layout, &array.values, options)?;
         poses.push(array.values);
@@ -78,26 +69,14 @@ fn layout_of(file: &Path, pose_shape: &[usize], options: &ImportOptions) -> Resu
     if !options.names.is_empty() && options.names.len() != count {
         let value = format!("{} names", options.names.len());
         let expected = format!("{count}, one per {word} of {}", file.display());
-        return Err(Error::bad_input(
-            "--names",
-            "count",
-            value,
-            expected,
-            "correct the list",
-        ));
+        return Err(Error::bad_input("--names", "count", value, expected, "correct the list"));
     }
     let name = |index: usize| match options.names.get(index) {
         Some(name) => name.clone(),
         None => format!("{word}{index:02}"),
     };
-    let group = |index| Group {
-        name: name(index),
-        kind,
-        unit: options.unit.unwrap_or(unit),
-    };
-    Ok(PoseLayout {
-        groups: (0..count).map(group).collect(),
-    })
+    let group = |index| Group { name: name(index), kind, unit: options.unit.unwrap_or(unit) };
+    Ok(PoseLayout { groups: (0..count).map(group).collect() })
 }
 
 /// Decodes one file; checks everything except the values.
@@ -115,12 +94,7 @@ fn parse(file: &Path, bytes: &[u8]) -> Result<Array> {
         None => return refused("header", "cut short".into(), "a whole one", EXPORT_AGAIN),
         Some(text) if !is_tame(text) => {
             let value = String::from_utf8_lossy(&text[..text.len().min(80)]).into_owned();
-            return refused(
-                "header",
-                value,
-                "that of a plain array of f4 or f8",
-                EXPORT_AGAIN,
-            );
+            return refused("header", value, "that of a plain array of f4 or f8", EXPORT_AGAIN);
         }
         Some(_) => (),
     }
@@ -133,11 +107,7 @@ fn parse(file: &Path, bytes: &[u8]) -> Result<Array> {
         let remedy = "convert with array.astype(numpy.float32)";
         return refused("dtype", header.dtype().descr(), "f4 or f8", remedy);
     };
-    let shape: Vec<usize> = header
-        .shape()
-        .iter()
-        .map(|&extent| extent as usize)
-        .collect();
+    let shape: Vec<usize> = header.shape().iter().map(|&extent| extent as usize).collect();
     if !matches!(shape[..], [_, (1..)] | [_, (1..), 3]) {
         let expected = "(frames, joints, 3) or (frames, channels)";
         return refused("shape", shape_text(&shape), expected, "reshape the array");
@@ -146,26 +116,14 @@ fn parse(file: &Path, bytes: &[u8]) -> Result<Array> {
     if data.len() != len_bytes {
         let value = format!("{} bytes of values", data.len());
         let expected = format!("{len_bytes} for shape {}", shape_text(&shape));
-        return Err(Error::bad_input(
-            file,
-            "length",
-            value,
-            expected,
-            EXPORT_AGAIN,
-        ));
+        return Err(Error::bad_input(file, "length", value, expected, EXPORT_AGAIN));
     }
-    let strides: Vec<usize> = header
-        .strides()
-        .iter()
-        .map(|&stride| stride as usize)
-        .collect();
+    let strides: Vec<usize> = header.strides().iter().map(|&stride| stride as usize).collect();
     let order = header.order();
     let npy = NpyFile::with_header(header, data);
     let values = match value_len_bytes {
         4 => npy.into_vec::<f32>(),
-        _ => npy
-            .into_vec::<f64>()
-            .map(|values| values.iter().map(|&value| value as f32).collect()),
+        _ => npy.into_vec::<f64>().map(|values| values.iter().map(|&value| value as f32).collect()),
     };
     let values = values.map_err(Error::io("decode", file))?;
     Ok(match order {
@@ -201,9 +159,9 @@ fn header_text(bytes: &[u8]) -> Option<&[u8]> {
 
 fn float_len_bytes(dtype: &DType) -> Option<usize> {
     match dtype {
-        DType::Plain(plain) if plain.type_char() == TypeChar::Float => plain
-            .num_bytes()
-            .filter(|len_bytes| matches!(len_bytes, 4 | 8)),
+        DType::Plain(plain) if plain.type_char() == TypeChar::Float => {
+            plain.num_bytes().filter(|len_bytes| matches!(len_bytes, 4 | 8))
+        }
         _ => None,
     }
 }
@@ -213,11 +171,7 @@ fn in_c_order(shape: Vec<usize>, strides: &[usize], stored: &[f32]) -> Array {
     let mut values = Vec::with_capacity(stored.len());
     let mut index = vec![0; shape.len()];
     for _ in 0..stored.len() {
-        let offset: usize = index
-            .iter()
-            .zip(strides)
-            .map(|(i, stride)| i * stride)
-            .sum();
+        let offset: usize = index.iter().zip(strides).map(|(i, stride)| i * stride).sum();
         values.push(stored[offset]);
         for axis in (0..shape.len()).rev() {
             index[axis] += 1;
@@ -253,15 +207,10 @@ mod tests {
     }
 
     fn imported(files: &[(&str, Vec<u8>)], change: impl Fn(&mut ImportOptions)) -> Result<ClipSet> {
-        let files: Vec<(&str, &[u8])> = files
-            .iter()
-            .map(|(name, bytes)| (*name, bytes.as_slice()))
-            .collect();
+        let files: Vec<(&str, &[u8])> =
+            files.iter().map(|(name, bytes)| (*name, bytes.as_slice())).collect();
         let folder = support::folder(&files);
-        let mut options = ImportOptions {
-            rate_hz: Some(20.0),
-            ..Default::default()
-        };
+        let mut options = ImportOptions { rate_hz: Some(20.0), ..Default::default() };
         options.tolerate_missing_labels = true;
         change(&mut options);
         import(folder.path(), &options)
@@ -300,14 +249,7 @@ mod tests {
 
     #[test]
     fn wrong_shape_is_refused() {
-        for shape in [
-            "()",
-            "(6,)",
-            "(2, 3, 4)",
-            "(1, 2, 3, 1)",
-            "(2, 0, 3)",
-            "(2, 0)",
-        ] {
+        for shape in ["()", "(6,)", "(2, 3, 4)", "(1, 2, 3, 1)", "(2, 0, 3)", "(2, 0)"] {
             let result = parsed(&npy_f32(shape, &[0.0; 6]));
             assert_refused(result, &["shape is", "(frames, joints, 3)"]);
         }
@@ -317,12 +259,7 @@ mod tests {
     fn header_that_would_overwhelm_its_parser_is_refused() {
         let nested = format!("({}", "[".repeat(100_000 / 2));
         let huge = "(4294967296, 4294967296, 3)";
-        for shape in [
-            &nested[..],
-            huge,
-            "(0xffffffffffffffff, 0xff)",
-            "(1 + 1.0, 2)",
-        ] {
+        for shape in [&nested[..], huge, "(0xffffffffffffffff, 0xff)", "(1 + 1.0, 2)"] {
             assert_refused(parsed(&npy_f32(shape, &[])), &["walk.npy", "header"]);
         }
     }
@@ -348,10 +285,7 @@ mod tests {
         let mut values = [0.0; 12];
         values[10] = f32::NAN;
         let files = [("a.npy", npy_f32("(2, 2, 3)", &values))];
-        assert_refused(
-            imported(&files, |_| ()),
-            &["a.npy", "frame 1, joint01_y_m", "NaN"],
-        );
+        assert_refused(imported(&files, |_| ()), &["a.npy", "frame 1, joint01_y_m", "NaN"]);
         let set = imported(&files, |options| options.tolerate_non_finite = true).unwrap();
         assert!(set.clips[0].poses[10].is_nan());
     }
@@ -371,10 +305,8 @@ mod tests {
         ];
         let result = imported(&files, |_| ());
         assert_refused(result, &["b.npy", "(2, 2, 3)", "(frames, 1, 3)", "a.npy"]);
-        let files = [
-            ("a.npy", npy_f32("(2, 1, 3)", &[0.0; 6])),
-            ("b.npy", npy_f32("(2, 3)", &[0.0; 6])),
-        ];
+        let files =
+            [("a.npy", npy_f32("(2, 1, 3)", &[0.0; 6])), ("b.npy", npy_f32("(2, 3)", &[0.0; 6]))];
         assert_refused(imported(&files, |_| ()), &["b.npy", "(2, 3)"]);
     }
 
@@ -388,38 +320,20 @@ mod tests {
 
     #[test]
     fn floats_of_both_sizes_and_byte_orders_are_read() {
-        let expected = Array {
-            shape: vec![2, 1],
-            values: vec![1.5, -2.0],
-        };
+        let expected = Array { shape: vec![2, 1], values: vec![1.5, -2.0] };
         let double = [1.5f64, -2.0].map(f64::to_le_bytes).concat();
-        assert_eq!(
-            parsed(&npy("<f8", false, "(2, 1)", &double)).unwrap(),
-            expected
-        );
+        assert_eq!(parsed(&npy("<f8", false, "(2, 1)", &double)).unwrap(), expected);
         let big_endian = [1.5f32, -2.0].map(f32::to_be_bytes).concat();
-        assert_eq!(
-            parsed(&npy(">f4", false, "(2, 1)", &big_endian)).unwrap(),
-            expected
-        );
+        assert_eq!(parsed(&npy(">f4", false, "(2, 1)", &big_endian)).unwrap(), expected);
     }
 
     #[test]
     fn fortran_order_is_brought_to_c_order() {
         // Element (frame, joint, axis) is 100 frame + 10 joint + axis; in Fortran order the frame
         // runs fastest.
-        let stored = [
-            0.0f32, 100.0, 10.0, 110.0, 1.0, 101.0, 11.0, 111.0, 2.0, 102.0, 12.0, 112.0,
-        ];
-        let bytes = npy(
-            "<f4",
-            true,
-            "(2, 2, 3)",
-            &stored.map(f32::to_le_bytes).concat(),
-        );
-        let expected = [
-            0.0, 1.0, 2.0, 10.0, 11.0, 12.0, 100.0, 101.0, 102.0, 110.0, 111.0, 112.0,
-        ];
+        let stored = [0.0f32, 100.0, 10.0, 110.0, 1.0, 101.0, 11.0, 111.0, 2.0, 102.0, 12.0, 112.0];
+        let bytes = npy("<f4", true, "(2, 2, 3)", &stored.map(f32::to_le_bytes).concat());
+        let expected = [0.0, 1.0, 2.0, 10.0, 11.0, 12.0, 100.0, 101.0, 102.0, 110.0, 111.0, 112.0];
         assert_eq!(parsed(&bytes).unwrap().values, expected);
     }
 
@@ -427,10 +341,7 @@ mod tests {
     fn joints_are_positions_and_channels_are_scalars() {
         let joints = [("a.npy", npy_f32("(2, 1, 3)", &[1.0; 6]))];
         let set = imported(&joints, |options| options.scale = Some(0.05)).unwrap();
-        assert_eq!(
-            set.layout.channel_names(),
-            ["joint00_x_m", "joint00_y_m", "joint00_z_m"]
-        );
+        assert_eq!(set.layout.channel_names(), ["joint00_x_m", "joint00_y_m", "joint00_z_m"]);
         assert_eq!((set.rate_hz, set.clips[0].poses[0]), (20.0, 0.05));
         let channels = [("a.npy", npy_f32("(2, 2)", &[1.0; 4]))];
         let set = imported(&channels, |options| {

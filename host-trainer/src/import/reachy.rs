@@ -16,9 +16,9 @@ use serde::Deserialize;
 use super::files::ClipFile;
 use super::resample::{check_times, is_regular, resample};
 use super::{ImportOptions, Recordings, Remarks, check_poses, with_progress};
+use crate::body::rotation::{Rotation, dot};
 use crate::error::{Error, Result};
 use crate::layout::{Group, GroupKind, PoseLayout, Unit};
-use crate::rotation::{Rotation, dot};
 
 /// Poses per second that the robot's own player sends; `--fps` overrides it.
 pub const RATE_HZ: f64 = 50.0;
@@ -56,32 +56,18 @@ pub(crate) fn read(
     for file in with_progress(files) {
         let bytes = std::fs::read(&file.path).map_err(Error::io("read", &file.path))?;
         let recorded = parse(&file.path, &bytes, remarks)?;
-        drives_body.push(
-            recorded
-                .set_target_data
-                .iter()
-                .any(|target| target.body_yaw.is_some()),
-        );
+        drives_body.push(recorded.set_target_data.iter().any(|target| target.body_yaw.is_some()));
         let clip = regular_poses(&file.path, &layout, &recorded, rate_hz, remarks)?;
         check_poses(&file.path, &layout, &clip, options)?;
         poses.push(clip);
     }
-    let mut recordings = Recordings {
-        layout,
-        rate_hz,
-        skeleton: None,
-        poses,
-    };
+    let mut recordings = Recordings { layout, rate_hz, skeleton: None, poses };
     settle_body_yaw(&mut recordings, files, &drives_body, remarks);
     Ok(recordings)
 }
 
 fn layout() -> PoseLayout {
-    let group = |name: &str, kind, unit| Group {
-        name: name.into(),
-        kind,
-        unit,
-    };
+    let group = |name: &str, kind, unit| Group { name: name.into(), kind, unit };
     PoseLayout {
         groups: vec![
             group("head", GroupKind::Translation, Unit::Metre),
@@ -97,13 +83,7 @@ fn layout() -> PoseLayout {
 fn parse(file: &Path, bytes: &[u8], remarks: &mut Remarks) -> Result<Move> {
     let mut recorded: Move = serde_json::from_slice(bytes).map_err(|error| {
         let expected = "a recorded move {time, set_target_data: [{head, antennas, body_yaw}]}";
-        Error::bad_input(
-            file,
-            "content",
-            error,
-            expected,
-            "record or download it again",
-        )
+        Error::bad_input(file, "content", error, expected, "record or download it again")
     })?;
     let (time_count, frame_count) = (recorded.time.len(), recorded.set_target_data.len());
     if time_count == frame_count + 1 {
@@ -112,31 +92,16 @@ fn parse(file: &Path, bytes: &[u8], remarks: &mut Remarks) -> Result<Move> {
     } else if time_count != frame_count {
         let value = format!("{time_count} times");
         let expected = format!("one for each of the {frame_count} frames");
-        return Err(Error::bad_input(
-            file,
-            "time",
-            value,
-            expected,
-            "record the move again",
-        ));
+        return Err(Error::bad_input(file, "time", value, expected, "record the move again"));
     }
     check_times(file, &recorded.time, |index| format!("time[{index}]"))?;
-    let drives_body = recorded
-        .set_target_data
-        .iter()
-        .any(|target| target.body_yaw.is_some());
+    let drives_body = recorded.set_target_data.iter().any(|target| target.body_yaw.is_some());
     for (frame, target) in recorded.set_target_data.iter().enumerate() {
         check_head(file, frame, &target.head)?;
         if drives_body && target.body_yaw.is_none() {
             let field = format!("frame {frame}, body_yaw");
             let expected = "a number in every frame or in none";
-            return Err(Error::bad_input(
-                file,
-                field,
-                "absent",
-                expected,
-                "record it again",
-            ));
+            return Err(Error::bad_input(file, field, "absent", expected, "record it again"));
         }
     }
     Ok(recorded)
@@ -145,17 +110,9 @@ fn parse(file: &Path, bytes: &[u8], remarks: &mut Remarks) -> Result<Move> {
 /// Checks that a 4 × 4 matrix is a rotation and a translation.
 fn check_head(file: &Path, frame: usize, head: &[[f64; 4]; 4]) -> Result<()> {
     let [x, y, z] = [0, 1, 2].map(|row| [head[row][0], head[row][1], head[row][2]]);
-    let products = [
-        dot(x, x) - 1.0,
-        dot(y, y) - 1.0,
-        dot(z, z) - 1.0,
-        dot(x, y),
-        dot(y, z),
-        dot(z, x),
-    ];
-    let deviation = products
-        .iter()
-        .fold(0.0, |max: f64, product| max.max(product.abs()));
+    let products =
+        [dot(x, x) - 1.0, dot(y, y) - 1.0, dot(z, z) - 1.0, dot(x, y), dot(y, z), dot(z, x)];
+    let deviation = products.iter().fold(0.0, |max: f64, product| max.max(product.abs()));
     let is_right_handed = dot(rotation_rows(head).rows[2], z) > 0.0;
     let last = head[3];
     let field = format!("frame {frame}, head");
@@ -211,10 +168,7 @@ fn settle_body_yaw(
     remarks: &mut Remarks,
 ) {
     if drives_body.iter().any(|&drives| drives) {
-        let undriven = files
-            .iter()
-            .zip(drives_body)
-            .filter(|(_, drives)| !**drives);
+        let undriven = files.iter().zip(drives_body).filter(|(_, drives)| !**drives);
         for (file, _) in undriven {
             remarks.note(&file.path, "body_yaw is not driven; taken as 0");
         }
@@ -223,15 +177,9 @@ fn settle_body_yaw(
     let width = recordings.layout.channel_count();
     recordings.layout.groups.pop();
     for poses in &mut recordings.poses {
-        *poses = poses
-            .chunks_exact(width)
-            .flat_map(|pose| pose[..width - 1].to_vec())
-            .collect();
+        *poses = poses.chunks_exact(width).flat_map(|pose| pose[..width - 1].to_vec()).collect();
     }
-    remarks.note(
-        &files[0].path,
-        "no file drives body_yaw; the channel is left out",
-    );
+    remarks.note(&files[0].path, "no file drives body_yaw; the channel is left out");
 }
 
 #[cfg(test)]
@@ -247,12 +195,7 @@ mod tests {
     /// A head turned by `yaw_rad` about z and moved by `x_m`.
     fn head(yaw_rad: f64, x_m: f64) -> Value {
         let (sine, cosine) = yaw_rad.sin_cos();
-        json!([
-            [cosine, -sine, 0, x_m],
-            [sine, cosine, 0, 0],
-            [0, 0, 1, 0],
-            [0, 0, 0, 1]
-        ])
+        json!([[cosine, -sine, 0, x_m], [sine, cosine, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
     }
 
     /// Frames at `rate_hz` whose head, antennas and body all grow by 0.01 a frame.
@@ -269,52 +212,32 @@ mod tests {
     }
 
     fn imported(files: &[(&str, &Value)]) -> Result<ClipSet> {
-        let texts: Vec<(&str, String)> = files
-            .iter()
-            .map(|(name, value)| (*name, value.to_string()))
-            .collect();
-        let files: Vec<(&str, &[u8])> = texts
-            .iter()
-            .map(|(name, text)| (*name, text.as_bytes()))
-            .collect();
+        let texts: Vec<(&str, String)> =
+            files.iter().map(|(name, value)| (*name, value.to_string())).collect();
+        let files: Vec<(&str, &[u8])> =
+            texts.iter().map(|(name, text)| (*name, text.as_bytes())).collect();
         let folder = folder(&files);
-        let options = ImportOptions {
-            tolerate_missing_labels: true,
-            ..Default::default()
-        };
+        let options = ImportOptions { tolerate_missing_labels: true, ..Default::default() };
         import(folder.path(), &options)
     }
 
     fn refused(change: impl Fn(&mut Value), words: &[&str]) {
         let mut value = recorded(4, 50.0);
         change(&mut value);
-        assert_refused(
-            imported(&[("nod1.json", &value)]),
-            &[&["nod1.json"], words].concat(),
-        );
+        assert_refused(imported(&[("nod1.json", &value)]), &[&["nod1.json"], words].concat());
     }
 
     #[test]
     fn malformed_json_is_refused_at_any_length() {
         let text = recorded(3, 50.0).to_string();
         for length in 0..text.len() {
-            let result = parse(
-                Path::new("nod1.json"),
-                &text.as_bytes()[..length],
-                &mut Remarks::default(),
-            );
+            let result =
+                parse(Path::new("nod1.json"), &text.as_bytes()[..length], &mut Remarks::default());
             assert!(result.is_err(), "accepted {length} bytes");
         }
         let nan = text.replace("-0.01", "NaN");
-        let result = parse(
-            Path::new("nod1.json"),
-            nan.as_bytes(),
-            &mut Remarks::default(),
-        );
-        assert_refused(
-            result.map(|_| ()),
-            &["nod1.json", "line 1 column", "recorded move"],
-        );
+        let result = parse(Path::new("nod1.json"), nan.as_bytes(), &mut Remarks::default());
+        assert_refused(result.map(|_| ()), &["nod1.json", "line 1 column", "recorded move"]);
     }
 
     #[test]
@@ -323,32 +246,17 @@ mod tests {
             |v| v["set_target_data"][2] = json!({"antennas": [0, 0]}),
             &["missing field `head`"],
         );
-        refused(
-            |v| v["set_target_data"][2]["antennas"] = json!([0]),
-            &["invalid length 1"],
-        );
-        refused(
-            |v| v["set_target_data"][2]["head"] = json!([[1, 0, 0, 0]]),
-            &["invalid length 1"],
-        );
-        refused(
-            |v| v["set_target_data"][2]["body_yaw"] = json!("left"),
-            &["invalid type"],
-        );
+        refused(|v| v["set_target_data"][2]["antennas"] = json!([0]), &["invalid length 1"]);
+        refused(|v| v["set_target_data"][2]["head"] = json!([[1, 0, 0, 0]]), &["invalid length 1"]);
+        refused(|v| v["set_target_data"][2]["body_yaw"] = json!("left"), &["invalid type"]);
         refused(|v| v["time"] = Value::Null, &["invalid type: null"]);
     }
 
     #[test]
     fn head_that_is_no_rotation_is_refused() {
         let words = ["frame 2, head", "from a rotation", "1e-3, right-handed"];
-        refused(
-            |v| v["set_target_data"][2]["head"][0][0] = json!(1.01),
-            &words,
-        );
-        refused(
-            |v| v["set_target_data"][2]["head"][2][2] = json!(-1.0),
-            &words,
-        );
+        refused(|v| v["set_target_data"][2]["head"][0][0] = json!(1.01), &words);
+        refused(|v| v["set_target_data"][2]["head"][2][2] = json!(-1.0), &words);
         refused(
             |v| {
                 v["set_target_data"][2]["head"] =
@@ -357,19 +265,13 @@ mod tests {
             &words,
         );
         let words = ["frame 2, head", "last row", "0 0 0 1"];
-        refused(
-            |v| v["set_target_data"][2]["head"][3][0] = json!(0.5),
-            &words,
-        );
+        refused(|v| v["set_target_data"][2]["head"][3][0] = json!(0.5), &words);
     }
 
     #[test]
     fn value_beyond_f32_is_refused() {
         let words = ["frame 2, antenna_right_rad", "inf"];
-        refused(
-            |v| v["set_target_data"][2]["antennas"][0] = json!(1e300),
-            &words,
-        );
+        refused(|v| v["set_target_data"][2]["antennas"][0] = json!(1e300), &words);
     }
 
     #[test]
@@ -378,33 +280,21 @@ mod tests {
             |v| v["time"] = json!([0, 0.02, 0.04]),
             &["time is 3 times", "each of the 4 frames"],
         );
-        refused(
-            |v| v["time"][2] = json!(0.02),
-            &["time[2]", "a time after 0.02"],
-        );
-        refused(
-            |v| v["time"][3] = json!(1e9),
-            &["time[3]", "split the recording"],
-        );
+        refused(|v| v["time"][2] = json!(0.02), &["time[2]", "a time after 0.02"]);
+        refused(|v| v["time"][3] = json!(1e9), &["time[3]", "split the recording"]);
     }
 
     #[test]
     fn short_moves_are_refused() {
         let one = recorded(1, 50.0);
-        assert_refused(
-            imported(&[("a.json", &one)]),
-            &["1 frame", "at least 2 frames"],
-        );
+        assert_refused(imported(&[("a.json", &one)]), &["1 frame", "at least 2 frames"]);
         let none = recorded(0, 50.0);
         assert_refused(imported(&[("a.json", &none)]), &["0 frames"]);
     }
 
     #[test]
     fn body_yaw_that_comes_and_goes_is_refused() {
-        refused(
-            |v| v["set_target_data"][2]["body_yaw"] = Value::Null,
-            &["frame 2, body_yaw"],
-        );
+        refused(|v| v["set_target_data"][2]["body_yaw"] = Value::Null, &["frame 2, body_yaw"]);
     }
 
     #[test]
@@ -415,9 +305,7 @@ mod tests {
                      antenna_right_rad antenna_left_rad body_yaw_rad";
         assert_eq!(set.layout.channel_names().join(" "), names);
         let (sine, cosine) = 0.01f32.sin_cos();
-        let expected = [
-            0.01, 0.0, 0.0, cosine, -sine, 0.0, sine, cosine, 0.0, 0.01, -0.01, 0.01,
-        ];
+        let expected = [0.01, 0.0, 0.0, cosine, -sine, 0.0, sine, cosine, 0.0, 0.01, -0.01, 0.01];
         for (value, expected) in set.clips[0].poses[12..24].iter().zip(expected) {
             assert!((value - expected).abs() < 1e-7, "{value} is not {expected}");
         }
@@ -466,10 +354,7 @@ mod tests {
         assert!(alone.remarks[0].contains("left out"));
         let mixed = imported(&[("nod1.json", &still), ("nod2.json", &recorded(4, 50.0))]).unwrap();
         assert_eq!(mixed.layout.channel_count(), 12);
-        assert_eq!(
-            (mixed.clips[0].poses[47], mixed.clips[1].poses[47]),
-            (0.0, 0.03)
-        );
+        assert_eq!((mixed.clips[0].poses[47], mixed.clips[1].poses[47]), (0.0, 0.03));
         assert!(mixed.remarks[0].contains("nod1.json: body_yaw is not driven"));
     }
 

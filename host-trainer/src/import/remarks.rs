@@ -19,11 +19,7 @@ impl Remarks {
         let what = what.into();
         match self.0.iter_mut().find(|remark| remark.what == what) {
             Some(remark) => remark.count += 1,
-            None => self.0.push(Remark {
-                what,
-                count: 1,
-                first: file.display().to_string(),
-            }),
+            None => self.0.push(Remark { what, count: 1, first: file.display().to_string() }),
         }
     }
 

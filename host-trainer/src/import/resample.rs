@@ -6,9 +6,9 @@
 
 use std::path::Path;
 
+use crate::body::rotation::Rotation;
 use crate::error::{Error, Result};
 use crate::layout::{GroupKind, PoseLayout};
-use crate::rotation::Rotation;
 
 /// Largest distance between two recorded poses, seconds; interpolating across more would invent
 /// motion.
@@ -30,37 +30,19 @@ pub(crate) fn check_times(
 ) -> Result<()> {
     if let Some(index) = times_s.iter().position(|time| !time.is_finite()) {
         let value = times_s[index];
-        return Err(Error::bad_input(
-            file,
-            place(index),
-            value,
-            "a time in seconds",
-            REPAIR,
-        ));
+        return Err(Error::bad_input(file, place(index), value, "a time in seconds", REPAIR));
     }
     for (index, pair) in times_s.windows(2).enumerate() {
         let step_s = pair[1] - pair[0];
         if step_s <= 0.0 {
             let (value, expected) = (pair[1], format!("a time after {}", pair[0]));
-            return Err(Error::bad_input(
-                file,
-                place(index + 1),
-                value,
-                expected,
-                REPAIR,
-            ));
+            return Err(Error::bad_input(file, place(index + 1), value, expected, REPAIR));
         }
         if step_s > GAP_S_MAX {
             let value = format!("{step_s} s after the one before");
             let expected = format!("at most {GAP_S_MAX} s");
             let remedy = "split the recording at the gap";
-            return Err(Error::bad_input(
-                file,
-                place(index + 1),
-                value,
-                expected,
-                remedy,
-            ));
+            return Err(Error::bad_input(file, place(index + 1), value, expected, remedy));
         }
     }
     Ok(())
@@ -146,24 +128,17 @@ mod tests {
             kind: *kind,
             unit: Unit::One,
         };
-        PoseLayout {
-            groups: kinds.iter().enumerate().map(group).collect(),
-        }
+        PoseLayout { groups: kinds.iter().enumerate().map(group).collect() }
     }
 
     fn checked(times_s: &[f64]) -> Result<()> {
-        check_times(Path::new("a.csv"), times_s, |index| {
-            format!("line {}", index + 2)
-        })
+        check_times(Path::new("a.csv"), times_s, |index| format!("line {}", index + 2))
     }
 
     #[test]
     fn times_that_are_no_times_are_refused_with_their_place() {
         assert_refused(checked(&[0.0, f64::NAN]), &["a.csv", "line 3", "NaN"]);
-        assert_refused(
-            checked(&[0.0, 0.1, 0.1]),
-            &["line 4 is 0.1", "a time after 0.1"],
-        );
+        assert_refused(checked(&[0.0, 0.1, 0.1]), &["line 4 is 0.1", "a time after 0.1"]);
         assert_refused(checked(&[0.0, 0.1, 0.05]), &["line 4 is 0.05"]);
         assert_refused(checked(&[0.0, 0.1, 1.2]), &["line 4", "at most 1 s"]);
         assert!(checked(&[-5.0, -4.5, -3.5]).is_ok());
@@ -200,12 +175,8 @@ mod tests {
     #[test]
     fn rotation_follows_the_arc() {
         let turned = Rotation::from_rotation_vector([0.0, 0.0, 2.0]).to_6d();
-        let poses: Vec<f32> = Rotation::IDENTITY
-            .to_6d()
-            .iter()
-            .chain(&turned)
-            .map(|x| *x as f32)
-            .collect();
+        let poses: Vec<f32> =
+            Rotation::IDENTITY.to_6d().iter().chain(&turned).map(|x| *x as f32).collect();
         let resampled = resample(&layout(&[GroupKind::Rotation6d]), &[0.0, 1.0], &poses, 2.0);
         let middle = Rotation::from_rotation_vector([0.0, 0.0, 1.0]);
         assert!(rotation(&resampled[6..12]).angle_to_rad(&middle) < 1e-6);

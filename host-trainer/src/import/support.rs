@@ -40,21 +40,12 @@ pub(crate) fn npy(dtype: &str, fortran_order: bool, shape: &str, values: &[u8]) 
     let order = if fortran_order { "True" } else { "False" };
     let text = format!("{{'descr': '{dtype}', 'fortran_order': {order}, 'shape': {shape}, }}\n");
     let len_bytes = u16::try_from(text.len()).unwrap().to_le_bytes();
-    [
-        b"\x93NUMPY\x01\x00",
-        &len_bytes[..],
-        text.as_bytes(),
-        values,
-    ]
-    .concat()
+    [b"\x93NUMPY\x01\x00", &len_bytes[..], text.as_bytes(), values].concat()
 }
 
 /// A NumPy file of little-endian f32.
 pub(crate) fn npy_f32(shape: &str, values: &[f32]) -> Vec<u8> {
-    let bytes: Vec<u8> = values
-        .iter()
-        .flat_map(|value| value.to_le_bytes())
-        .collect();
+    let bytes: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
     npy("<f4", false, shape, &bytes)
 }
 
@@ -65,11 +56,7 @@ pub(crate) fn shared(folder: &str) -> Option<PathBuf> {
     if path.is_dir() {
         return Some(path);
     }
-    assert!(
-        std::env::var_os("CI").is_none(),
-        "{} is missing",
-        path.display()
-    );
+    assert!(std::env::var_os("CI").is_none(), "{} is missing", path.display());
     eprintln!("SKIPPED: {} is missing", path.display());
     None
 }

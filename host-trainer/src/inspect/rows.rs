@@ -3,9 +3,9 @@
 use std::ops::Range;
 
 use super::{JUMP_FACTOR, Place, RowReport};
+use crate::body::rotation::Rotation;
 use crate::clip::ClipSet;
 use crate::layout::{Group, GroupKind, PoseLayout};
-use crate::rotation::Rotation;
 
 /// More channels than this are reported by group: a screen has about as many lines.
 const CHANNEL_ROWS_MAX: usize = 32;
@@ -38,14 +38,12 @@ pub(super) fn rows(layout: &PoseLayout) -> Vec<Row> {
     let by_group = layout.channel_count() > CHANNEL_ROWS_MAX;
     layout
         .ranges()
-        .flat_map(
-            |(group, range)| match by_group || group.kind == GroupKind::Rotation6d {
-                true => vec![Row::new(&group.name, group, range)],
-                false => range
-                    .map(|channel| Row::new(&names[channel], group, channel..channel + 1))
-                    .collect(),
-            },
-        )
+        .flat_map(|(group, range)| match by_group || group.kind == GroupKind::Rotation6d {
+            true => vec![Row::new(&group.name, group, range)],
+            false => range
+                .map(|channel| Row::new(&names[channel], group, channel..channel + 1))
+                .collect(),
+        })
         .collect()
 }
 
@@ -54,11 +52,7 @@ impl Row {
         let is_rotation = group.kind == GroupKind::Rotation6d;
         Self {
             name: name.to_string(),
-            unit: if is_rotation {
-                "deg"
-            } else {
-                group.unit.suffix()
-            },
+            unit: if is_rotation { "deg" } else { group.unit.suffix() },
             is_rotation,
             channels,
         }
@@ -71,9 +65,7 @@ impl Row {
         let mut changes = Vec::new(); // (clip, frame after the change, size)
         for (clip_index, clip) in clip_set.clips.iter().enumerate() {
             let mut before: Option<&[f32]> = None;
-            let poses = clip
-                .poses
-                .chunks_exact(clip_set.layout.channel_count().max(1));
+            let poses = clip.poses.chunks_exact(clip_set.layout.channel_count().max(1));
             for (frame, pose) in poses.enumerate() {
                 let values = &pose[self.channels.clone()];
                 non_finite_count += values.iter().filter(|value| !value.is_finite()).count();
@@ -103,10 +95,7 @@ impl Row {
                 },
             })
             .collect();
-        let change_max = changes
-            .iter()
-            .map(|(.., change)| *change)
-            .fold(0.0, f32::max);
+        let change_max = changes.iter().map(|(.., change)| *change).fold(0.0, f32::max);
         Analysis {
             report: RowReport {
                 name: self.name.clone(),
@@ -127,10 +116,7 @@ impl Row {
             return (angle_deg, angle_deg);
         }
         let min = values.iter().copied().fold(f32::INFINITY, f32::min);
-        (
-            min,
-            values.iter().copied().fold(f32::NEG_INFINITY, f32::max),
-        )
+        (min, values.iter().copied().fold(f32::NEG_INFINITY, f32::max))
     }
 
     /// Size of the step from one value to the next: distance, or angle in degrees.
@@ -138,22 +124,15 @@ impl Row {
         if self.is_rotation {
             return angle_deg(&rotation(from), &rotation(to));
         }
-        from.iter()
-            .zip(to)
-            .map(|(from, to)| (to - from).powi(2))
-            .sum::<f32>()
-            .sqrt()
+        from.iter().zip(to).map(|(from, to)| (to - from).powi(2)).sum::<f32>().sqrt()
     }
 }
 
 /// 99th percentile of the changes that are not 0: a servo that rests most of the time must not make
 /// every move a jump.
 fn usual_change(changes: &[(usize, usize, f32)]) -> f32 {
-    let mut sizes: Vec<f32> = changes
-        .iter()
-        .map(|(.., change)| *change)
-        .filter(|change| *change > 0.0)
-        .collect();
+    let mut sizes: Vec<f32> =
+        changes.iter().map(|(.., change)| *change).filter(|change| *change > 0.0).collect();
     if sizes.is_empty() {
         return f32::INFINITY;
     }
@@ -173,12 +152,7 @@ fn angle_deg(from: &Rotation, to: &Rotation) -> f32 {
 pub(super) fn constant_channels(clip_set: &ClipSet) -> Vec<String> {
     let layout = &clip_set.layout;
     let width = layout.channel_count().max(1);
-    let poses = || {
-        clip_set
-            .clips
-            .iter()
-            .flat_map(|clip| clip.poses.chunks_exact(width))
-    };
+    let poses = || clip_set.clips.iter().flat_map(|clip| clip.poses.chunks_exact(width));
     let Some(first) = poses().next() else {
         return Vec::new();
     };
@@ -197,10 +171,7 @@ pub(super) fn constant_channels(clip_set: &ClipSet) -> Vec<String> {
                 true => vec![group.name.clone()],
                 false => Vec::new(),
             },
-            _ => range
-                .filter(|&i| is_constant[i])
-                .map(|i| names[i].clone())
-                .collect(),
+            _ => range.filter(|&i| is_constant[i]).map(|i| names[i].clone()).collect(),
         })
         .collect()
 }

@@ -24,24 +24,13 @@ impl Display for ClipReport {
             return writeln!(f, "no warnings");
         }
         writeln!(f, "warnings")?;
-        warnings
-            .iter()
-            .try_for_each(|warning| writeln!(f, "  {warning}"))
+        warnings.iter().try_for_each(|warning| writeln!(f, "  {warning}"))
     }
 }
 
 impl ClipReport {
     fn action_table(&self) -> Table {
-        let header = [
-            "action",
-            "clips",
-            "frames min",
-            "median",
-            "max",
-            "s min",
-            "median",
-            "max",
-        ];
+        let header = ["action", "clips", "frames min", "median", "max", "s min", "median", "max"];
         let mut table = Table::new(header);
         let mut row = |name: &str, clip_count: usize, lengths: Lengths| {
             let lengths = [lengths.min, lengths.median, lengths.max];
@@ -52,11 +41,7 @@ impl ClipReport {
             table.push([name, clip_count, min, median, max, min_s, median_s, max_s]);
         };
         for action in &self.actions {
-            let name = if action.name.is_empty() {
-                "(no label)"
-            } else {
-                &action.name
-            };
+            let name = if action.name.is_empty() { "(no label)" } else { &action.name };
             row(name, action.clip_count, action.frame_counts);
         }
         row("all", self.clip_count, self.frame_counts);
@@ -64,28 +49,12 @@ impl ClipReport {
     }
 
     fn row_table(&self) -> Table {
-        let header = [
-            "channel",
-            "unit",
-            "min",
-            "max",
-            "max speed /s",
-            "jumps",
-            "non-finite",
-        ];
+        let header = ["channel", "unit", "min", "max", "max speed /s", "jumps", "non-finite"];
         let mut table = Table::new(header);
         for row in &self.rows {
             let [min, max, speed] = [row.min, row.max, row.speed_max].map(|v| format!("{v:.3}"));
             let [jumps, non_finite] = [row.jump_count, row.non_finite_count].map(|n| n.to_string());
-            table.push([
-                row.name.clone(),
-                row.unit.clone(),
-                min,
-                max,
-                speed,
-                jumps,
-                non_finite,
-            ]);
+            table.push([row.name.clone(), row.unit.clone(), min, max, speed, jumps, non_finite]);
         }
         table
     }
@@ -98,11 +67,7 @@ impl ClipReport {
         let jump_text = format!("frames jump by over {JUMP_FACTOR} times the usual fastest change");
         warnings.extend(places("values are not finite", &self.non_finite));
         warnings.extend(places(&jump_text, &self.jumps));
-        let same: Vec<String> = self
-            .duplicates
-            .iter()
-            .map(|names| names.join(" = "))
-            .collect();
+        let same: Vec<String> = self.duplicates.iter().map(|names| names.join(" = ")).collect();
         if !same.is_empty() {
             let text = format!("{} times the same poses: {}", same.len(), first_few(&same));
             warnings.push(text);
@@ -112,10 +77,8 @@ impl ClipReport {
     }
 
     fn action_warnings(&self) -> Vec<String> {
-        let (unlabelled, labelled): (Vec<_>, Vec<_>) = self
-            .actions
-            .iter()
-            .partition(|action| action.name.is_empty());
+        let (unlabelled, labelled): (Vec<_>, Vec<_>) =
+            self.actions.iter().partition(|action| action.name.is_empty());
         let mut warnings: Vec<String> = unlabelled
             .iter()
             .map(|action| format!("{} clips have no label", action.clip_count))
@@ -153,12 +116,7 @@ fn places(what: &str, places: &Places) -> Vec<String> {
         _ => String::new(),
     };
     let lines = places.places.iter().map(|place| {
-        format!(
-            "  {} frame {}, {}: {}",
-            place.clip, place.frame, place.row, place.value
-        )
+        format!("  {} frame {}, {}: {}", place.clip, place.frame, place.row, place.value)
     });
-    std::iter::once(format!("{} {what}{shown}:", places.count))
-        .chain(lines)
-        .collect()
+    std::iter::once(format!("{} {what}{shown}:", places.count)).chain(lines).collect()
 }

@@ -70,10 +70,7 @@ impl StepPosition {
     /// The position of a step; a pass is cut into batches of equal size, as far as that is possible.
     pub fn of_step(step: u64, clip_count: usize, config: &TrainConfig) -> Self {
         let batch_count = clip_count.div_ceil(config.batch.clips);
-        let (pass, batch) = (
-            step / batch_count as u64,
-            (step % batch_count as u64) as usize,
-        );
+        let (pass, batch) = (step / batch_count as u64, (step % batch_count as u64) as usize);
         let joint = config.update.order == UpdateOrder::Joint;
         Self {
             pass,
@@ -158,11 +155,9 @@ impl Batch {
         let position = StepPosition::of_step(step, descriptions.len(), config);
         self.order_clips(config.seed, position.pass);
         self.clips.clear();
-        self.clips
-            .extend_from_slice(&self.clip_order[position.places.clone()]);
+        self.clips.extend_from_slice(&self.clip_order[position.places.clone()]);
         self.actions.clear();
-        self.actions
-            .extend(self.clips.iter().map(|&clip| descriptions[clip].action));
+        self.actions.extend(self.clips.iter().map(|&clip| descriptions[clip].action));
         let mut rng = stream(config.seed, Purpose::Step, step);
         self.draw_frames(dataset, config.batch.frames, &mut rng);
         self.draw_codes(config, tables, &mut rng);
@@ -176,8 +171,7 @@ impl Batch {
         for (place, clip) in self.clip_order.iter_mut().enumerate() {
             *clip = place;
         }
-        self.clip_order
-            .shuffle(&mut stream(seed, Purpose::ClipOrder, pass));
+        self.clip_order.shuffle(&mut stream(seed, Purpose::ClipOrder, pass));
         self.order_of_pass = Some(pass);
     }
 
@@ -214,9 +208,7 @@ impl Batch {
     /// Floyd's algorithm (Bentley, CACM 1987): with `last` running over the final frames, every subset is equally likely.
     fn unused_frame(&self, last: usize, first_row: usize, rng: &mut impl Rng) -> usize {
         let frame = rng.random_range(0..=last);
-        let taken = self.moment_of_row[first_row..]
-            .iter()
-            .any(|&m| self.moments[m] == frame);
+        let taken = self.moment_of_row[first_row..].iter().any(|&m| self.moments[m] == frame);
         if taken { last } else { frame }
     }
 
@@ -232,16 +224,10 @@ impl Batch {
 
     /// z = μ + exp(½ log σ²) ε, for β and α, with fresh ε for every clip.
     fn draw_codes(&mut self, config: &TrainConfig, tables: [&CodeTable; 2], rng: &mut impl Rng) {
-        let variational = [
-            config.codes.sequence_variational,
-            config.codes.action_variational,
-        ];
+        let variational = [config.codes.sequence_variational, config.codes.action_variational];
         for index in 0..self.clips.len() {
             let mut start = index * self.code_count;
-            for (part, row) in [self.clips[index], self.actions[index]]
-                .into_iter()
-                .enumerate()
-            {
+            for (part, row) in [self.clips[index], self.actions[index]].into_iter().enumerate() {
                 let (mean, log_variance) =
                     (tables[part].mean_of(row), tables[part].log_variance_of(row));
                 let range = start..start + mean.len();
@@ -298,10 +284,7 @@ mod tests {
                 let rows = &batch.target_rows[5 * index..5 * index + 5];
                 let first = dataset.first_rows[clip];
                 let frame_count = dataset.description.clips[clip].frame_count;
-                assert!(
-                    rows.iter()
-                        .all(|row| (first..first + frame_count).contains(row))
-                );
+                assert!(rows.iter().all(|row| (first..first + frame_count).contains(row)));
                 let mut distinct = rows.to_vec();
                 distinct.sort_unstable();
                 distinct.dedup();
@@ -312,15 +295,10 @@ mod tests {
 
     #[test]
     fn short_clip_repeats_its_last_pose_while_time_runs_on() {
-        let (batch, _) = (0..3)
-            .map(|step| drawn(step, ""))
-            .find(|(b, _)| b.clips.contains(&1))
-            .unwrap();
+        let (batch, _) =
+            (0..3).map(|step| drawn(step, "")).find(|(b, _)| b.clips.contains(&1)).unwrap();
         let index = batch.clips.iter().position(|&clip| clip == 1).unwrap();
-        assert_eq!(
-            batch.target_rows[5 * index..5 * index + 5],
-            [12, 13, 14, 14, 14]
-        );
+        assert_eq!(batch.target_rows[5 * index..5 * index + 5], [12, 13, 14, 14, 14]);
         let frame = |row: usize| batch.moments[batch.moment_of_row[row]];
         let frames: Vec<usize> = (5 * index..5 * index + 5).map(frame).collect();
         assert_eq!(frames, [0, 1, 2, 3, 4]);
@@ -332,14 +310,11 @@ mod tests {
         for step in 0..3000 {
             let (batch, _) = drawn(step, "[batch]\nclips = 5");
             let rows = batch.target_rows.iter();
-            rows.filter(|row| **row < 12)
-                .for_each(|row| counts[*row] += 1);
+            rows.filter(|row| **row < 12).for_each(|row| counts[*row] += 1);
         }
         let expected = 3000.0 * 5.0 / 12.0;
         assert!(
-            counts
-                .iter()
-                .all(|count| (f64::from(*count) / expected - 1.0).abs() < 0.1),
+            counts.iter().all(|count| (f64::from(*count) / expected - 1.0).abs() < 0.1),
             "{counts:?}"
         );
     }

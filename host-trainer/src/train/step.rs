@@ -12,9 +12,9 @@ use crate::config::{CodeRows, DecoderStep, Reduction};
 use crate::dataset::Dataset;
 use crate::float_model::{CodeTable, Wanted, Workspace};
 use crate::layout::PoseLayout;
-use crate::optimizer::{Adam, CodeMoments, clip_scale, sum_of_squares};
 use crate::simd::vectorized;
 use crate::train::batch::{Batch, StepPosition};
+use crate::train::optimizer::{Adam, CodeMoments, clip_scale, sum_of_squares};
 
 /// What a step measured, before it moved anything.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -91,30 +91,13 @@ impl<'a> Trainer<'a> {
     }
 
     fn draw(&mut self) -> StepPosition {
-        let Checkpoint {
-            config,
-            state,
-            sequence_codes,
-            action_codes,
-            ..
-        } = &self.checkpoint;
-        self.batch.draw(
-            self.dataset,
-            config,
-            [sequence_codes, action_codes],
-            state.step,
-        )
+        let Checkpoint { config, state, sequence_codes, action_codes, .. } = &self.checkpoint;
+        self.batch.draw(self.dataset, config, [sequence_codes, action_codes], state.step)
     }
 
     /// Decodes the batch; leaves the loss's gradient by the poses in the workspace.
     fn evaluate(&mut self) {
-        let Self {
-            report,
-            batch,
-            workspace,
-            channel_weights,
-            ..
-        } = self;
+        let Self { report, batch, workspace, channel_weights, .. } = self;
         self.checkpoint.model.forward(&batch.rows(), workspace);
         let row_count = batch.target_rows.len();
         (report.row_count, report.moment_count) = (row_count, batch.moment_count());
@@ -133,30 +116,18 @@ impl<'a> Trainer<'a> {
             });
         }
         let weighted = |(sum, weight): (&f64, &f32)| sum * f64::from(*weight);
-        let sum: f64 = report
-            .squared_errors
-            .iter()
-            .zip(&*channel_weights)
-            .map(weighted)
-            .sum();
+        let sum: f64 = report.squared_errors.iter().zip(&*channel_weights).map(weighted).sum();
         report.reconstruction = sum / row_count as f64;
     }
 
     /// The gradients that this step needs, and no others.
     fn differentiate(&mut self, position: &StepPosition) {
-        let Checkpoint {
-            model,
-            optimizer,
-            config,
-            ..
-        } = &mut self.checkpoint;
+        let Checkpoint { model, optimizer, config, .. } = &mut self.checkpoint;
         let code_count = model.code_count();
         let drawn_gradient = &mut self.drawn_gradient[..self.batch.clips.len() * code_count];
         let sums = config.update.decoder_step == DecoderStep::Epoch && position.places.start > 0;
         let wanted = Wanted {
-            decoder: position
-                .moves_decoder
-                .then_some(&mut optimizer.decoder_gradient[..]),
+            decoder: position.moves_decoder.then_some(&mut optimizer.decoder_gradient[..]),
             accumulate: if sums { Accum::Add } else { Accum::Replace },
             codes: position.moves_codes.then_some(drawn_gradient),
         };
@@ -179,10 +150,7 @@ impl<'a> Trainer<'a> {
             self.sequence_gradient.log_variance[range].fill(0.0);
         }
         let kl_weight = config.loss.kl_weight as f32 / self.batch.clips.len() as f32;
-        let variational = [
-            config.codes.sequence_variational,
-            config.codes.action_variational,
-        ];
+        let variational = [config.codes.sequence_variational, config.codes.action_variational];
         let mut divergence = 0.0;
         let mut start = 0;
         for (&clip, &action) in self.batch.clips.iter().zip(&self.batch.actions) {
@@ -193,12 +161,7 @@ impl<'a> Trainer<'a> {
                     clip,
                     variational[0],
                 ),
-                (
-                    &self.checkpoint.action_codes,
-                    &mut self.action_gradient,
-                    action,
-                    variational[1],
-                ),
+                (&self.checkpoint.action_codes, &mut self.action_gradient, action, variational[1]),
             ] {
                 let end = start + table.dimension_count;
                 let drawn = DrawnCode {
@@ -215,15 +178,9 @@ impl<'a> Trainer<'a> {
     }
 
     fn move_codes(&mut self, rate_factor: f64) {
-        let Checkpoint {
-            config,
-            sequence_codes,
-            action_codes,
-            optimizer,
-            ..
-        } = &mut self.checkpoint;
-        self.action_in_batch
-            .fill(config.update.code_rows == CodeRows::Dense);
+        let Checkpoint { config, sequence_codes, action_codes, optimizer, .. } =
+            &mut self.checkpoint;
+        self.action_in_batch.fill(config.update.code_rows == CodeRows::Dense);
         for &action in &self.batch.actions {
             self.action_in_batch[action] = true;
         }
@@ -234,12 +191,7 @@ impl<'a> Trainer<'a> {
         };
         let in_batch = &self.action_in_batch;
         let actions = (0..in_batch.len()).filter(|&action| in_batch[action]);
-        step.run(
-            action_codes,
-            &self.action_gradient,
-            &mut optimizer.action_codes,
-            actions,
-        );
+        step.run(action_codes, &self.action_gradient, &mut optimizer.action_codes, actions);
         let moments = &mut optimizer.sequence_codes;
         if config.update.code_rows == CodeRows::Dense {
             let rows = 0..sequence_codes.row_count();
@@ -258,12 +210,7 @@ impl<'a> Trainer<'a> {
     }
 
     fn move_decoder(&mut self, rate_factor: f64) {
-        let Checkpoint {
-            config,
-            model,
-            optimizer,
-            ..
-        } = &mut self.checkpoint;
+        let Checkpoint { config, model, optimizer, .. } = &mut self.checkpoint;
         let norm_max = config.update.gradient_norm_max;
         let gradient_scale = if norm_max > 0.0 {
             let squares = optimizer
@@ -343,8 +290,7 @@ impl CodeStep {
             1.0
         };
         for row in rows {
-            self.adam
-                .step_code(table, gradient, moments, row, self.learning_rate, scale);
+            self.adam.step_code(table, gradient, moments, row, self.learning_rate, scale);
         }
     }
 }
@@ -353,9 +299,7 @@ impl CodeStep {
 fn channel_weights(layout: &PoseLayout, reduction: Reduction) -> Vec<f32> {
     let channel_count_of = |kind| {
         let of_kind = layout.groups.iter().filter(|group| group.kind == kind);
-        of_kind
-            .map(|group| group.kind.channel_count())
-            .sum::<usize>()
+        of_kind.map(|group| group.kind.channel_count()).sum::<usize>()
     };
     let weight = |kind| match reduction {
         Reduction::Channel => 1.0 / layout.channel_count() as f32,
@@ -382,11 +326,8 @@ mod tests {
             BY_CODE * (mean + variance.sqrt() * EPSILON) + KL_WEIGHT * divergence
         };
         let (mean, log_variance) = (0.6_f32, -1.3_f32);
-        let table = CodeTable {
-            dimension_count: 1,
-            mean: vec![mean],
-            log_variance: vec![log_variance],
-        };
+        let table =
+            CodeTable { dimension_count: 1, mean: vec![mean], log_variance: vec![log_variance] };
         let deviation = (0.5 * log_variance).exp();
         let drawn = DrawnCode {
             gradient: &[BY_CODE as f32],
@@ -434,32 +375,23 @@ mod tests {
                 let rise = loss_of(&dataset, &above) - loss_of(&dataset, &below);
                 let numeric = rise / f64::from(2.0 * STEP);
                 let difference = (numeric - f64::from(analytic)).abs();
-                assert!(
-                    difference < 1e-3 * numeric.abs() + 3e-5,
-                    "{variant} {analytic} {numeric}"
-                );
+                assert!(difference < 1e-3 * numeric.abs() + 3e-5, "{variant} {analytic} {numeric}");
             };
             for place in 0..checkpoint.sequence_codes.mean.len() {
                 let gradient = &trainer.sequence_gradient;
                 check(gradient.mean[place], &|c| &mut c.sequence_codes.mean[place]);
-                check(gradient.log_variance[place], &|c| {
-                    &mut c.sequence_codes.log_variance[place]
-                });
+                check(gradient.log_variance[place], &|c| &mut c.sequence_codes.log_variance[place]);
             }
             for place in 0..checkpoint.action_codes.mean.len() {
                 let gradient = &trainer.action_gradient;
                 check(gradient.mean[place], &|c| &mut c.action_codes.mean[place]);
-                check(gradient.log_variance[place], &|c| {
-                    &mut c.action_codes.log_variance[place]
-                });
+                check(gradient.log_variance[place], &|c| &mut c.action_codes.log_variance[place]);
             }
             let gradient = trainer.checkpoint.optimizer.decoder_gradient.clone();
             for (layer, gradient) in gradient.iter().enumerate() {
                 check(gradient.bias[1], &|c| &mut c.model.layers[layer].bias[1]);
                 for place in (0..gradient.weights.len()).step_by(7) {
-                    check(gradient.weights[place], &|c| {
-                        &mut c.model.layers[layer].weights[place]
-                    });
+                    check(gradient.weights[place], &|c| &mut c.model.layers[layer].weights[place]);
                 }
             }
         }

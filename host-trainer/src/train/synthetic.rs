@@ -10,11 +10,7 @@ use crate::layout::{Group, PoseLayout};
 
 /// Five clips of two actions and six channels; lengths 3 to 40, so one is shorter than a batch's frames.
 pub fn dataset() -> Dataset {
-    let group = |name: &str, kind, unit| Group {
-        name: name.into(),
-        kind,
-        unit,
-    };
+    let group = |name: &str, kind, unit| Group { name: name.into(), kind, unit };
     let groups = vec![
         group("jaw", GroupKind::Scalar, Unit::Degree),
         group("root", GroupKind::Translation, Unit::Metre),
@@ -22,23 +18,17 @@ pub fn dataset() -> Dataset {
         group("brow", GroupKind::Scalar, Unit::Degree),
     ];
     let frame_counts = [12, 3, 40, 21, 30];
-    let clips = frame_counts
-        .iter()
-        .enumerate()
-        .map(|(clip, &frame_count)| ClipDescription {
-            name: format!("clip{clip}"),
-            action: clip % 2,
-            frame_count,
-        });
+    let clips = frame_counts.iter().enumerate().map(|(clip, &frame_count)| ClipDescription {
+        name: format!("clip{clip}"),
+        action: clip % 2,
+        frame_count,
+    });
     let wave = |clip: usize, frame: usize, channel: usize| {
         (0.2 * frame as f32 * (1.0 + 0.3 * channel as f32) + clip as f32).sin()
     };
-    let poses = frame_counts
-        .iter()
-        .enumerate()
-        .flat_map(|(clip, &frame_count)| {
-            (0..frame_count * 6).map(move |index| wave(clip, index / 6, index % 6))
-        });
+    let poses = frame_counts.iter().enumerate().flat_map(|(clip, &frame_count)| {
+        (0..frame_count * 6).map(move |index| wave(clip, index / 6, index % 6))
+    });
     Dataset {
         first_rows: vec![0, 12, 15, 55, 76],
         poses: poses.collect(),

@@ -12,12 +12,7 @@ use crate::character::score::Score;
 pub fn nod(score: &mut Score, actor: &mut Actor) {
     let start_s = actor.beat(0.12);
     let lift_end_s = score.key(NeckPitch, start_s, actor.beat(0.18), -actor.size(5.0));
-    score.key(
-        Brow,
-        start_s,
-        actor.beat(0.2),
-        actor.size(4.0 + 3.0 * actor.mood),
-    );
+    score.key(Brow, start_s, actor.beat(0.2), actor.size(4.0 + 3.0 * actor.mood));
     score.key(BodyLean, start_s + 0.05, actor.beat(0.5), actor.size(4.0));
     if actor.dice.chance(0.5) {
         let guest_deg = actor.side * actor.size(11.0);
@@ -45,11 +40,7 @@ pub fn nod(score: &mut Score, actor: &mut Actor) {
         let back_deg = -0.12 * depth_deg;
         now_s = score.key(NeckPitch, down_s, actor.beat(0.24), back_deg);
         now_s -= actor.dice.between(-0.05, 0.05);
-        depth_deg *= if works_up {
-            1.0 / depth_ratio
-        } else {
-            depth_ratio
-        };
+        depth_deg *= if works_up { 1.0 / depth_ratio } else { depth_ratio };
     }
     if actor.mood > 0.2 {
         score.bump(Jaw, now_s - 0.3, actor.beat(0.7), 5.0 + 6.0 * actor.mood);
@@ -62,30 +53,10 @@ pub fn nod(score: &mut Score, actor: &mut Actor) {
 pub fn shake(score: &mut Score, actor: &mut Actor) {
     let gloom = 0.5 - 0.5 * actor.mood;
     let start_s = actor.beat(0.12);
-    score.key(
-        Brow,
-        start_s,
-        actor.beat(0.22),
-        -actor.size(6.0 + 4.0 * gloom),
-    );
-    score.key(
-        Eyelid,
-        start_s + 0.04,
-        actor.beat(0.25),
-        actor.size(3.0 + 9.0 * gloom),
-    );
-    score.key(
-        NeckPitch,
-        start_s,
-        actor.beat(0.3),
-        actor.size(1.0 + 11.0 * gloom),
-    );
-    score.key(
-        NeckRoll,
-        start_s,
-        actor.beat(0.5),
-        actor.side * actor.size(4.0),
-    );
+    score.key(Brow, start_s, actor.beat(0.22), -actor.size(6.0 + 4.0 * gloom));
+    score.key(Eyelid, start_s + 0.04, actor.beat(0.25), actor.size(3.0 + 9.0 * gloom));
+    score.key(NeckPitch, start_s, actor.beat(0.3), actor.size(1.0 + 11.0 * gloom));
+    score.key(NeckRoll, start_s, actor.beat(0.5), actor.side * actor.size(4.0));
 
     let mut to_side = actor.side;
     let sweep_size_deg = actor.dice.between(20.0, 40.0);

@@ -38,36 +38,16 @@ pub fn idle(score: &mut Score, actor: &mut Actor) {
 
 fn shift_weight(score: &mut Score, actor: &mut Actor, start_s: f64) -> f64 {
     let to_side = actor.dice.side();
-    score.key(
-        NeckYaw,
-        start_s,
-        actor.beat(0.5),
-        -to_side * actor.size(7.0),
-    );
-    score.key(
-        NeckRoll,
-        start_s + 0.15,
-        actor.beat(0.7),
-        to_side * actor.size(6.0),
-    );
+    score.key(NeckYaw, start_s, actor.beat(0.5), -to_side * actor.size(7.0));
+    score.key(NeckRoll, start_s + 0.15, actor.beat(0.7), to_side * actor.size(6.0));
     score.bump(BodyLean, start_s, actor.beat(0.9), actor.size(3.5));
-    score.key(
-        BodyYaw,
-        start_s + 0.08,
-        actor.beat(0.75),
-        to_side * actor.size(12.0),
-    )
+    score.key(BodyYaw, start_s + 0.08, actor.beat(0.75), to_side * actor.size(12.0))
 }
 
 fn loosen_arms(score: &mut Score, actor: &mut Actor, start_s: f64) -> f64 {
     let (first, second) = (actor.near_arm(), actor.far_arm());
     score.bump(BodyLean, start_s, actor.beat(0.8), -actor.size(4.0));
-    score.bump(
-        second,
-        start_s + actor.beat(0.12),
-        actor.beat(0.6),
-        actor.size(9.0),
-    );
+    score.bump(second, start_s + actor.beat(0.12), actor.beat(0.6), actor.size(9.0));
     score.bump(first, start_s, actor.beat(0.6), actor.size(13.0))
 }
 
@@ -76,12 +56,7 @@ fn loosen_arms(score: &mut Score, actor: &mut Actor, start_s: f64) -> f64 {
 pub fn look_around(score: &mut Score, actor: &mut Actor) {
     let mut to_side = actor.side;
     let start_s = actor.beat(0.2);
-    score.key(
-        NeckYaw,
-        start_s,
-        actor.beat(0.16),
-        -to_side * actor.size(4.0),
-    );
+    score.key(NeckYaw, start_s, actor.beat(0.16), -to_side * actor.size(4.0));
     let mut now_s = start_s + 0.13;
     for _ in 0..actor.dice.count(2, 3) {
         let gaze_deg = to_side * actor.size(46.0);
@@ -91,18 +66,8 @@ pub fn look_around(score: &mut Score, actor: &mut Actor) {
         score.key(NeckPitch, now_s + 0.05, actor.beat(0.36), pitch_deg);
         score.key(BodyYaw, now_s + actor.beat(0.12), actor.beat(0.6), body_deg);
         score.key(NeckYaw, there_s, actor.beat(0.4), gaze_deg - body_deg);
-        score.key(
-            Brow,
-            there_s - 0.1,
-            actor.beat(0.25),
-            -0.6 * pitch_deg + 3.0 * actor.mood,
-        );
-        score.key(
-            NeckRoll,
-            now_s + 0.1,
-            actor.beat(0.5),
-            -to_side * actor.size(5.0),
-        );
+        score.key(Brow, there_s - 0.1, actor.beat(0.25), -0.6 * pitch_deg + 3.0 * actor.mood);
+        score.key(NeckRoll, now_s + 0.1, actor.beat(0.5), -to_side * actor.size(5.0));
         if actor.dice.chance(0.4) {
             score.key(BodyLean, now_s + 0.2, actor.beat(0.45), actor.size(9.0));
             score.key(Eyelid, there_s, actor.beat(0.2), actor.size(5.0));
@@ -129,12 +94,7 @@ pub fn wonder(score: &mut Score, actor: &mut Actor) {
     let start_s = actor.beat(0.15);
     let mut to_side = actor.side;
     score.key(NeckPitch, start_s, actor.beat(0.22), actor.size(4.0));
-    score.key(
-        NeckRoll,
-        start_s,
-        actor.beat(0.2),
-        -to_side * actor.size(4.0),
-    );
+    score.key(NeckRoll, start_s, actor.beat(0.2), -to_side * actor.size(4.0));
 
     let mut now_s = start_s + actor.beat(0.18);
     score.key(BodyLean, now_s + 0.1, actor.beat(0.6), actor.size(8.0));
@@ -142,12 +102,7 @@ pub fn wonder(score: &mut Score, actor: &mut Actor) {
     score.key(Eyelid, now_s, actor.beat(0.2), -actor.size(4.0));
     score.key(Whisk, now_s + 0.1, actor.beat(0.3), actor.size(12.0));
     score.key(NeckPitch, now_s, actor.beat(0.4), -actor.size(7.0));
-    score.key(
-        actor.near_arm(),
-        now_s + 0.15,
-        actor.beat(0.45),
-        actor.size(26.0),
-    );
+    score.key(actor.near_arm(), now_s + 0.15, actor.beat(0.45), actor.size(26.0));
     for _ in 0..actor.dice.count(1, 3) {
         let tilt_deg = to_side * actor.size(15.0);
         let yaw_deg = to_side * actor.size(11.0);

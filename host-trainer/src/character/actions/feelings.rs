@@ -14,46 +14,16 @@ pub fn startle(score: &mut Score, actor: &mut Actor) {
     let from_side = actor.side * actor.dice.between(0.0, 1.0);
     let far_share = actor.dice.between(0.2, 1.0);
     actor.blink(score, bang_s - 0.06);
-    score.key(
-        BodyLean,
-        bang_s,
-        actor.beat(0.15),
-        -shock * actor.size(11.0),
-    );
-    score.key(
-        BodyYaw,
-        bang_s,
-        actor.beat(0.22),
-        -from_side * actor.size(20.0),
-    );
-    score.key(
-        NeckPitch,
-        bang_s + 0.02,
-        actor.beat(0.14),
-        -shock * actor.size(15.0),
-    );
-    score.key(
-        NeckRoll,
-        bang_s,
-        actor.beat(0.2),
-        actor.side * actor.size(5.0),
-    );
+    score.key(BodyLean, bang_s, actor.beat(0.15), -shock * actor.size(11.0));
+    score.key(BodyYaw, bang_s, actor.beat(0.22), -from_side * actor.size(20.0));
+    score.key(NeckPitch, bang_s + 0.02, actor.beat(0.14), -shock * actor.size(15.0));
+    score.key(NeckRoll, bang_s, actor.beat(0.2), actor.side * actor.size(5.0));
     score.key(Brow, bang_s, actor.beat(0.12), actor.size(13.0));
     score.key(Eyelid, bang_s + 0.03, actor.beat(0.12), -actor.size(5.0));
-    score.key(
-        Jaw,
-        bang_s + 0.05,
-        actor.beat(0.14),
-        shock * actor.size(13.0),
-    );
+    score.key(Jaw, bang_s + 0.05, actor.beat(0.14), shock * actor.size(13.0));
     let raised_deg = shock * actor.size(44.0);
     score.key(actor.near_arm(), bang_s + 0.01, actor.beat(0.2), raised_deg);
-    score.key(
-        actor.far_arm(),
-        bang_s + 0.05,
-        actor.beat(0.2),
-        far_share * raised_deg,
-    );
+    score.key(actor.far_arm(), bang_s + 0.05, actor.beat(0.2), far_share * raised_deg);
     let frozen_s = score.key(Whisk, bang_s + 0.06, actor.beat(0.2), -actor.size(12.0));
     actor.turn_head(score, bang_s + 0.12, 0.18, from_side * 38.0);
 
@@ -89,22 +59,12 @@ pub fn laugh(score: &mut Score, actor: &mut Actor) {
     let start_s = actor.beat(0.12);
     let back = if actor.dice.chance(0.65) { -1.0 } else { 1.0 };
     score.key(BodyLean, start_s, actor.beat(0.28), -back * actor.size(4.0));
-    score.key(
-        NeckPitch,
-        start_s,
-        actor.beat(0.26),
-        -back * actor.size(5.0),
-    );
+    score.key(NeckPitch, start_s, actor.beat(0.26), -back * actor.size(5.0));
     let drawn_s = score.key(Brow, start_s, actor.beat(0.22), actor.size(7.0));
 
     let sway_deg = actor.side * actor.size(9.0);
     score.key(BodyLean, drawn_s, actor.beat(0.35), back * actor.size(9.0));
-    score.key(
-        NeckPitch,
-        drawn_s + 0.04,
-        actor.beat(0.35),
-        back * actor.size(15.0),
-    );
+    score.key(NeckPitch, drawn_s + 0.04, actor.beat(0.35), back * actor.size(15.0));
     score.key(NeckRoll, drawn_s + 0.05, actor.beat(0.6), sway_deg);
     score.key(BodyYaw, drawn_s, actor.beat(0.9), sway_deg);
     score.key(Eyelid, drawn_s + 0.03, actor.beat(0.2), actor.size(13.0));
@@ -131,12 +91,7 @@ fn run_of_has(score: &mut Score, actor: &mut Actor, start_s: f64) -> f64 {
     let mut now_s = start_s;
     for ha in 1..=ha_count {
         let beat_s = ha_s * actor.dice.about_one(0.15);
-        score.bump(
-            Jaw,
-            now_s,
-            1.1 * beat_s,
-            jaw_share * strength * actor.size(15.0),
-        );
+        score.bump(Jaw, now_s, 1.1 * beat_s, jaw_share * strength * actor.size(15.0));
         score.bump(BodyLean, now_s + 0.04, beat_s, strength * actor.size(4.5));
         score.bump(NeckPitch, now_s + 0.07, beat_s, strength * actor.size(4.0));
         score.bump(ArmLeft, now_s + 0.05, beat_s, strength * actor.size(15.0));
@@ -164,12 +119,7 @@ pub fn doze(score: &mut Score, actor: &mut Actor) {
         let sink_s = actor.beat(1.1 / f64::from(stage_count) + 0.35);
         now_s = sink(score, now_s, sink_s, share, depth_deg);
         score.key(NeckRoll, now_s - 0.6 * sink_s, sink_s, share * roll_deg);
-        score.key(
-            BodyYaw,
-            now_s - 0.7 * sink_s,
-            sink_s,
-            share * 0.6 * roll_deg,
-        );
+        score.key(BodyYaw, now_s - 0.7 * sink_s, sink_s, share * 0.6 * roll_deg);
         now_s += actor.dice.between(0.0, 0.15);
         if stage < stage_count {
             let caught_deg = (share - 0.3) * depth_deg;
@@ -181,31 +131,11 @@ pub fn doze(score: &mut Score, actor: &mut Actor) {
     let wake_s = now_s + actor.dice.between(0.25, 0.6);
     let fright = if actor.dice.chance(0.6) { 1.0 } else { 0.25 };
     let lift_s = 0.13 + 0.35 * (1.0 - fright);
-    score.key(
-        NeckPitch,
-        wake_s,
-        actor.beat(lift_s + 0.04),
-        -fright * actor.size(8.0),
-    );
-    score.key(
-        NeckRoll,
-        wake_s + 0.02,
-        actor.beat(lift_s + 0.1),
-        -fright * 0.4 * roll_deg,
-    );
-    score.key(
-        BodyLean,
-        wake_s + 0.03,
-        actor.beat(lift_s + 0.15),
-        -fright * actor.size(4.0),
-    );
+    score.key(NeckPitch, wake_s, actor.beat(lift_s + 0.04), -fright * actor.size(8.0));
+    score.key(NeckRoll, wake_s + 0.02, actor.beat(lift_s + 0.1), -fright * 0.4 * roll_deg);
+    score.key(BodyLean, wake_s + 0.03, actor.beat(lift_s + 0.15), -fright * actor.size(4.0));
     score.key(Eyelid, wake_s, actor.beat(lift_s), -2.0);
-    let awake_s = score.key(
-        Brow,
-        wake_s,
-        actor.beat(lift_s + 0.02),
-        fright * actor.size(10.0),
-    );
+    let awake_s = score.key(Brow, wake_s, actor.beat(lift_s + 0.02), fright * actor.size(10.0));
     let again_s = awake_s + actor.dice.between(0.45, 0.55);
     actor.blink(score, awake_s + 0.1);
     actor.blink(score, again_s);

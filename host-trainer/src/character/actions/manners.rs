@@ -13,12 +13,7 @@ pub fn greet(score: &mut Score, actor: &mut Actor) {
     let guest_deg = actor.side * actor.dice.between(0.0, 28.0);
     actor.turn_head(score, start_s, 0.25, 0.6 * guest_deg);
     score.key(BodyYaw, start_s + 0.1, actor.beat(0.5), 0.4 * guest_deg);
-    score.key(
-        NeckPitch,
-        start_s + 0.08,
-        actor.beat(0.25),
-        -actor.size(6.0),
-    );
+    score.key(NeckPitch, start_s + 0.08, actor.beat(0.25), -actor.size(6.0));
     score.key(Brow, start_s, actor.beat(0.2), actor.size(8.0));
     let drawn_up_s = score.key(BodyLean, start_s + 0.05, actor.beat(0.28), -actor.size(4.0));
 
@@ -35,12 +30,7 @@ pub fn greet(score: &mut Score, actor: &mut Actor) {
 
 fn bow(score: &mut Score, actor: &mut Actor, start_s: f64, depth_deg: f64) -> f64 {
     let bowed_s = score.key(BodyLean, start_s, actor.beat(0.45), depth_deg);
-    score.key(
-        NeckPitch,
-        start_s + 0.1,
-        actor.beat(0.45),
-        depth_deg * actor.dice.between(0.6, 1.1),
-    );
+    score.key(NeckPitch, start_s + 0.1, actor.beat(0.45), depth_deg * actor.dice.between(0.6, 1.1));
     score.key(Eyelid, start_s + 0.05, actor.beat(0.4), 0.55 * depth_deg);
     score.key(ArmLeft, start_s, actor.beat(0.5), -0.9 * depth_deg);
     score.key(ArmRight, start_s + 0.04, actor.beat(0.5), -0.9 * depth_deg);
@@ -61,12 +51,7 @@ fn wave(score: &mut Score, actor: &mut Actor, start_s: f64) -> f64 {
     let raised_deg = actor.size(56.0);
     let dip = actor.dice.between(0.5, 0.75);
     let mut now_s = score.key(arm, start_s, actor.beat(0.35), raised_deg);
-    score.key(
-        NeckRoll,
-        start_s + 0.1,
-        actor.beat(0.4),
-        actor.side * actor.size(8.0),
-    );
+    score.key(NeckRoll, start_s + 0.1, actor.beat(0.4), actor.side * actor.size(8.0));
     score.key(Jaw, start_s + 0.15, actor.beat(0.3), actor.size(9.0));
     for _ in 0..actor.dice.count(2, 4) {
         let down_s = score.key(arm, now_s - 0.04, actor.beat(0.16), dip * raised_deg);
@@ -115,21 +100,11 @@ fn pour(score: &mut Score, actor: &mut Actor, start_s: f64, seconds: f64, lifted
     let pot_arm = actor.near_arm();
     let tipped_s = score.key(pot_arm, start_s, actor.beat(0.32), 0.7 * lifted_deg);
     score.key(BodyLean, start_s, actor.beat(0.45), actor.size(9.0));
-    score.key(
-        NeckRoll,
-        start_s + 0.1,
-        actor.beat(0.5),
-        actor.side * actor.size(9.0),
-    );
+    score.key(NeckRoll, start_s + 0.1, actor.beat(0.5), actor.side * actor.size(9.0));
     let stream_s = tipped_s + actor.dice.between(0.0, 0.2);
     let drawn_deg = lifted_deg + actor.size(30.0) * seconds;
     let cut_s = score.key(pot_arm, stream_s, actor.beat(seconds), drawn_deg);
-    score.key(
-        NeckPitch,
-        stream_s + 0.1,
-        actor.beat(seconds),
-        actor.size(6.0),
-    );
+    score.key(NeckPitch, stream_s + 0.1, actor.beat(seconds), actor.size(6.0));
     score.bump(Whisk, cut_s + 0.05, actor.beat(0.3), actor.size(12.0));
     score.bump(pot_arm, cut_s, actor.beat(0.24), actor.size(11.0))
 }

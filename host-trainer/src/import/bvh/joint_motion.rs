@@ -10,10 +10,10 @@ use std::path::Path;
 
 use super::super::{Recordings, Remarks};
 use super::parser::Joint;
+use crate::body::rotation::{Rotation, Vector, add, length, scale, subtract};
+use crate::body::skeleton::Skeleton;
 use crate::layout::{Group, GroupKind, PoseLayout, Unit};
 use crate::represent::ROOT_NAME;
-use crate::rotation::{Rotation, Vector, add, length, scale, subtract};
-use crate::skeleton::Skeleton;
 
 /// Numbers of a transform: translation x, y, z and the 6D rotation.
 const TRANSFORM_LEN: usize = 9;
@@ -45,14 +45,9 @@ impl JointMotion {
     /// The layout of the transforms: a translation and a rotation for every joint.
     pub fn layout(&self) -> PoseLayout {
         let groups = self.joints.iter().flat_map(|joint| {
-            [
-                self.translation(&format!("{}_translation", joint.name)),
-                rotation(&joint.name),
-            ]
+            [self.translation(&format!("{}_translation", joint.name)), rotation(&joint.name)]
         });
-        PoseLayout {
-            groups: groups.collect(),
-        }
+        PoseLayout { groups: groups.collect() }
     }
 
     /// Sorts what moves from what stands still.
@@ -62,15 +57,9 @@ impl JointMotion {
         first: &Path,
         remarks: &mut Remarks,
     ) -> Recordings {
-        let longest = self
-            .joints
-            .iter()
-            .map(|joint| length(joint.offset))
-            .fold(0.0, f64::max);
+        let longest = self.joints.iter().map(|joint| length(joint.offset)).fold(0.0, f64::max);
         let tolerance = STILL_SHARE * longest;
-        let bones: Vec<Bone> = (0..self.joints.len())
-            .map(|joint| self.bone(joint))
-            .collect();
+        let bones: Vec<Bone> = (0..self.joints.len()).map(|joint| self.bone(joint)).collect();
         let root = self.fold_root(&bones, tolerance, first, remarks);
         self.rename_root_joint();
         let moves = |joint: usize| joint != root && bones[joint].travel > tolerance;
@@ -79,10 +68,7 @@ impl JointMotion {
             let text = format!("{name} also travels; its translation becomes channels of its own");
             remarks.note(first, text);
         }
-        let spread = bones[root + 1..]
-            .iter()
-            .map(|bone| bone.spread)
-            .fold(0.0, f64::max);
+        let spread = bones[root + 1..].iter().map(|bone| bone.spread).fold(0.0, f64::max);
         if spread > tolerance {
             let unit = self.unit.suffix();
             let text =
@@ -93,41 +79,23 @@ impl JointMotion {
             layout: self.moving_layout(root, moves),
             rate_hz,
             skeleton: Some(self.skeleton(root, &bones)),
-            poses: self
-                .clips
-                .iter()
-                .map(|clip| self.moving_poses(clip, root, moves))
-                .collect(),
+            poses: self.clips.iter().map(|clip| self.moving_poses(clip, root, moves)).collect(),
         }
     }
 
     fn translation(&self, name: &str) -> Group {
-        Group {
-            name: name.into(),
-            kind: GroupKind::Translation,
-            unit: self.unit,
-        }
+        Group { name: name.into(), kind: GroupKind::Translation, unit: self.unit }
     }
 
     fn bone(&self, joint: usize) -> Bone {
-        let clip_bones: Vec<(Vector, f64)> = self
-            .clips
-            .iter()
-            .map(|clip| self.mean_and_travel(clip, joint))
-            .collect();
-        let sum = clip_bones
-            .iter()
-            .fold([0.0; 3], |sum, (mean, _)| add(sum, *mean));
+        let clip_bones: Vec<(Vector, f64)> =
+            self.clips.iter().map(|clip| self.mean_and_travel(clip, joint)).collect();
+        let sum = clip_bones.iter().fold([0.0; 3], |sum, (mean, _)| add(sum, *mean));
         let mean = scale(sum, 1.0 / clip_bones.len() as f64);
-        let distances = clip_bones
-            .iter()
-            .map(|(clip, _)| length(subtract(*clip, mean)));
+        let distances = clip_bones.iter().map(|(clip, _)| length(subtract(*clip, mean)));
         Bone {
             mean,
-            travel: clip_bones
-                .iter()
-                .map(|(_, travel)| *travel)
-                .fold(0.0, f64::max),
+            travel: clip_bones.iter().map(|(_, travel)| *travel).fold(0.0, f64::max),
             spread: distances.fold(0.0, f64::max),
         }
     }
@@ -168,15 +136,8 @@ impl JointMotion {
                 return root;
             }
             let (parent, child) = (&self.joints[root].name, &self.joints[root + 1].name);
-            remarks.note(
-                first,
-                format!("{parent} is folded into {child}, which is the root now"),
-            );
-            for pose in self
-                .clips
-                .iter_mut()
-                .flat_map(|clip| clip.chunks_exact_mut(width))
-            {
+            remarks.note(first, format!("{parent} is folded into {child}, which is the root now"));
+            for pose in self.clips.iter_mut().flat_map(|clip| clip.chunks_exact_mut(width)) {
                 let (parent, child) = pose[root * TRANSFORM_LEN..].split_at_mut(TRANSFORM_LEN);
                 fold(parent, &mut child[..TRANSFORM_LEN]);
             }
@@ -238,20 +199,12 @@ impl JointMotion {
 }
 
 fn rotation(name: &str) -> Group {
-    Group {
-        name: name.into(),
-        kind: GroupKind::Rotation6d,
-        unit: Unit::One,
-    }
+    Group { name: name.into(), kind: GroupKind::Rotation6d, unit: Unit::One }
 }
 
 /// Replaces a child's local transform by `parent · child`; what is not finite stays visible.
 fn fold(parent: &[f32], child: &mut [f32]) {
-    if !parent
-        .iter()
-        .chain(child.iter())
-        .all(|value| value.is_finite())
-    {
+    if !parent.iter().chain(child.iter()).all(|value| value.is_finite()) {
         child.fill(f32::NAN);
         return;
     }
@@ -260,8 +213,5 @@ fn fold(parent: &[f32], child: &mut [f32]) {
     let rotation = turn(parent).after(&turn(child));
     let translation = add(vector(parent), turn(parent).apply(vector(child)));
     let folded = translation.into_iter().chain(rotation.to_6d());
-    child
-        .iter_mut()
-        .zip(folded)
-        .for_each(|(slot, value)| *slot = value as f32);
+    child.iter_mut().zip(folded).for_each(|(slot, value)| *slot = value as f32);
 }

@@ -11,40 +11,18 @@ pub(super) fn parse(file: &Path, joints: Vec<Joint>, lines: &[(usize, &str)]) ->
     let frame_time_s = header_value(file, lines.get(1), "Frame Time:")?;
     if frame_time_s <= 0.0 {
         let expected = "a time in seconds above 0";
-        return Err(Error::bad_input(
-            file,
-            "Frame Time",
-            frame_time_s,
-            expected,
-            CORRECT,
-        ));
+        return Err(Error::bad_input(file, "Frame Time", frame_time_s, expected, CORRECT));
     }
-    let mut bvh = Bvh {
-        joints,
-        frame_time_s,
-        values: Vec::new(),
-    };
+    let mut bvh = Bvh { joints, frame_time_s, values: Vec::new() };
     if bvh.channel_count() == 0 {
         let expected = "at least one channel";
-        return Err(Error::bad_input(
-            file,
-            "CHANNELS",
-            "0 in all",
-            expected,
-            EXPORT_AGAIN,
-        ));
+        return Err(Error::bad_input(file, "CHANNELS", "0 in all", expected, EXPORT_AGAIN));
     }
     let frames = &lines[2..];
     if frames.len() as f64 != frame_count {
         let value = format!("{} lines", frames.len());
         let expected = format!("{frame_count} as Frames: says");
-        return Err(Error::bad_input(
-            file,
-            "motion",
-            value,
-            expected,
-            EXPORT_AGAIN,
-        ));
+        return Err(Error::bad_input(file, "motion", value, expected, EXPORT_AGAIN));
     }
     for (number, line) in frames {
         frame(file, *number, line, &mut bvh)?;
@@ -65,13 +43,7 @@ fn header_value(file: &Path, line: Option<&(usize, &str)>, key: &str) -> Result<
             0 => ("end of file".to_string(), "nothing".to_string()),
             _ => (format!("line {number}"), format!("{text:?}")),
         };
-        Error::bad_input(
-            file,
-            field,
-            value,
-            format!("{key} and a number"),
-            EXPORT_AGAIN,
-        )
+        Error::bad_input(file, field, value, format!("{key} and a number"), EXPORT_AGAIN)
     })
 }
 

@@ -51,10 +51,7 @@ pub(super) fn parse(file: &Path, bytes: &[u8]) -> Result<Bvh> {
         Error::bad_input(file, field, "no text", "a BVH file", EXPORT_AGAIN)
     })?;
     let text = text.trim_start_matches('\u{feff}');
-    let mut lines = text
-        .lines()
-        .enumerate()
-        .map(|(index, line)| (index + 1, line));
+    let mut lines = text.lines().enumerate().map(|(index, line)| (index + 1, line));
     let is_motion = |line: &str| line.trim().eq_ignore_ascii_case("MOTION");
     let mut tokens = Vec::new();
     let mut has_motion = false;
@@ -64,21 +61,11 @@ pub(super) fn parse(file: &Path, bytes: &[u8]) -> Result<Bvh> {
             break;
         }
         let spaced = line.replace('{', " { ").replace('}', " } ");
-        tokens.extend(
-            spaced
-                .split_whitespace()
-                .map(|word| (number, word.to_string())),
-        );
+        tokens.extend(spaced.split_whitespace().map(|word| (number, word.to_string())));
     }
     let joints = Hierarchy::parse(file, tokens)?;
     if !has_motion {
-        return Err(Error::bad_input(
-            file,
-            "MOTION",
-            "absent",
-            "a MOTION section",
-            EXPORT_AGAIN,
-        ));
+        return Err(Error::bad_input(file, "MOTION", "absent", "a MOTION section", EXPORT_AGAIN));
     }
     let lines: Vec<(usize, &str)> = lines.filter(|(_, line)| !line.trim().is_empty()).collect();
     motion::parse(file, joints, &lines)
@@ -97,13 +84,8 @@ struct Hierarchy<'a> {
 
 impl<'a> Hierarchy<'a> {
     fn parse(file: &'a Path, words: Vec<(usize, String)>) -> Result<Vec<Joint>> {
-        let mut hierarchy = Self {
-            file,
-            words: words.into_iter(),
-            line: 1,
-            joints: Vec::new(),
-            open: Vec::new(),
-        };
+        let mut hierarchy =
+            Self { file, words: words.into_iter(), line: 1, joints: Vec::new(), open: Vec::new() };
         hierarchy.expect("HIERARCHY")?;
         while let Some((line, word)) = hierarchy.words.next() {
             hierarchy.line = line;
@@ -120,18 +102,11 @@ impl<'a> Hierarchy<'a> {
     }
 
     fn statement(&mut self, word: &str) -> Result<()> {
-        match (
-            word.to_ascii_uppercase().as_str(),
-            self.open.last().copied(),
-        ) {
+        match (word.to_ascii_uppercase().as_str(), self.open.last().copied()) {
             ("ROOT", None) if self.joints.is_empty() => self.open_joint(None),
             ("ROOT", None) => {
                 let expected = "one body: a second root has no place relative to the first";
-                Err(self.refuse(
-                    "a second ROOT",
-                    expected,
-                    "export each body to its own file",
-                ))
+                Err(self.refuse("a second ROOT", expected, "export each body to its own file"))
             }
             ("JOINT", Some(parent)) => self.open_joint(Some(parent)),
             ("END", Some(_)) => self.end_site(),
@@ -172,12 +147,7 @@ impl<'a> Hierarchy<'a> {
             return Err(self.refuse(value, "a name that no other joint has", "rename the joint"));
         }
         self.open.push(self.joints.len());
-        self.joints.push(Joint {
-            name,
-            parent,
-            offset: [0.0; 3],
-            channels: Vec::new(),
-        });
+        self.joints.push(Joint { name, parent, offset: [0.0; 3], channels: Vec::new() });
         Ok(())
     }
 
@@ -202,10 +172,7 @@ impl<'a> Hierarchy<'a> {
 
     fn channels(&mut self) -> Result<Vec<Channel>> {
         let word = self.next("the number of channels")?;
-        let count = word
-            .parse::<usize>()
-            .ok()
-            .filter(|&count| count <= CHANNELS_MAX);
+        let count = word.parse::<usize>().ok().filter(|&count| count <= CHANNELS_MAX);
         let expected = "a count up to 6";
         let count = count.ok_or_else(|| self.refuse(&word, expected, CORRECT))?;
         let mut channels: Vec<Channel> = Vec::new();
@@ -237,13 +204,7 @@ impl<'a> Hierarchy<'a> {
     }
 
     fn refuse(&self, value: impl ToString, expected: &str, remedy: &str) -> Error {
-        Error::bad_input(
-            self.file,
-            format!("line {}", self.line),
-            value,
-            expected,
-            remedy,
-        )
+        Error::bad_input(self.file, format!("line {}", self.line), value, expected, remedy)
     }
 }
 
@@ -299,10 +260,7 @@ Frame Time: 0.05
     /// Replaces a part of the arm that must be there, and expects a refusal that says `words`.
     fn refused(from: &str, to: &str, words: &[&str]) {
         assert!(ARM.contains(from));
-        assert_refused(
-            parsed(&ARM.replacen(from, to, 1)),
-            &[&["walk.bvh"], words].concat(),
-        );
+        assert_refused(parsed(&ARM.replacen(from, to, 1)), &[&["walk.bvh"], words].concat());
     }
 
     #[test]
@@ -316,75 +274,30 @@ Frame Time: 0.05
 
     #[test]
     fn several_roots_are_refused_with_the_reason() {
-        let words = [
-            "line 16",
-            "a second ROOT",
-            "no place relative to the first",
-            "each body",
-        ];
-        refused(
-            "MOTION",
-            "ROOT Tail { OFFSET 0 0 0 CHANNELS 0 }\nMOTION",
-            &words,
-        );
+        let words = ["line 16", "a second ROOT", "no place relative to the first", "each body"];
+        refused("MOTION", "ROOT Tail { OFFSET 0 0 0 CHANNELS 0 }\nMOTION", &words);
     }
 
     #[test]
     fn structure_errors_are_refused_with_their_line() {
-        refused(
-            "HIERARCHY",
-            "HIERACHY",
-            &["line 1 is HIERACHY", "HIERARCHY"],
-        );
+        refused("HIERARCHY", "HIERACHY", &["line 1 is HIERACHY", "HIERARCHY"]);
         refused("ROOT", "JOINT", &["line 2 is JOINT", "ROOT or MOTION"]);
-        refused(
-            "JOINT Upper Arm",
-            "BONE Upper Arm",
-            &["line 6 is BONE", "End Site"],
-        );
-        refused(
-            "  }\n}\n",
-            "  }\n",
-            &["open at joint Hips", "a closing brace"],
-        );
+        refused("JOINT Upper Arm", "BONE Upper Arm", &["line 6 is BONE", "End Site"]);
+        refused("  }\n}\n", "  }\n", &["open at joint Hips", "a closing brace"]);
         refused("End Site", "End", &["line 11 is {", "Site"]);
-        refused(
-            "Upper Arm",
-            "Hips",
-            &["line 7", "joint name \"Hips\"", "rename"],
-        );
+        refused("Upper Arm", "Hips", &["line 7", "joint name \"Hips\"", "rename"]);
         refused("Upper Arm", "", &["joint name \"\""]);
-        refused(
-            "OFFSET 10 0 0",
-            "OFFSET 10 0",
-            &["line 9 is CHANNELS", "a finite number"],
-        );
-        refused(
-            "OFFSET 10 0 0",
-            "OFFSET 10 nan 0",
-            &["line 8 is nan", "a finite number"],
-        );
+        refused("OFFSET 10 0 0", "OFFSET 10 0", &["line 9 is CHANNELS", "a finite number"]);
+        refused("OFFSET 10 0 0", "OFFSET 10 nan 0", &["line 8 is nan", "a finite number"]);
         refused("}\nMOTION", "}\n}\nMOTION", &["line 16 is }"]);
     }
 
     #[test]
     fn channels_that_do_not_exist_are_refused() {
-        refused(
-            "CHANNELS 3",
-            "CHANNELS 7",
-            &["line 9 is 7", "a count up to 6"],
-        );
+        refused("CHANNELS 3", "CHANNELS 7", &["line 9 is 7", "a count up to 6"]);
         refused("CHANNELS 3", "CHANNELS -1", &["line 9 is -1"]);
-        refused(
-            "CHANNELS 3 Zrotation",
-            "CHANNELS 3 Zscale",
-            &["Zscale", "Xposition"],
-        );
-        refused(
-            "3 Zrotation",
-            "3 Xrotation",
-            &["line 9 is Xrotation", "once"],
-        );
+        refused("CHANNELS 3 Zrotation", "CHANNELS 3 Zscale", &["Zscale", "Xposition"]);
+        refused("3 Zrotation", "3 Xrotation", &["line 9 is Xrotation", "once"]);
         refused("3 Zrotation", "3 é", &["é"]);
         let still = "HIERARCHY ROOT a { OFFSET 0 0 0 }\nMOTION\nFrames: 1\nFrame Time: 1\n";
         assert_refused(parsed(still), &["CHANNELS is 0 in all"]);
@@ -392,56 +305,32 @@ Frame Time: 0.05
 
     #[test]
     fn motion_headers_that_mean_nothing_are_refused() {
-        refused(
-            "Frames: 2",
-            "Frames: x",
-            &["line 17", "Frames: and a number"],
-        );
+        refused("Frames: 2", "Frames: x", &["line 17", "Frames: and a number"]);
         refused("Frames: 2", "Frame Time: 2", &["line 17", "Frames:"]);
-        refused(
-            "Frames: 2",
-            "Frames: 3",
-            &["motion is 2 lines", "3 as Frames: says"],
-        );
+        refused("Frames: 2", "Frames: 3", &["motion is 2 lines", "3 as Frames: says"]);
         refused("Frames: 2", "Frames: 2.5", &["2.5 as Frames: says"]);
         for time in ["0", "-1", "nan", "x"] {
-            refused(
-                "Frame Time: 0.05",
-                &format!("Frame Time: {time}"),
-                &["Frame Time"],
-            );
+            refused("Frame Time: 0.05", &format!("Frame Time: {time}"), &["Frame Time"]);
         }
     }
 
     #[test]
     fn frames_of_the_wrong_width_are_refused_with_their_line() {
-        refused(
-            "10 20 30",
-            "10 20",
-            &["line 19 is 8 numbers", "9, one per channel"],
-        );
+        refused("10 20 30", "10 20", &["line 19 is 8 numbers", "9, one per channel"]);
         refused("10 20 30", "10 20 30 40", &["line 19 is 10 numbers"]);
-        refused(
-            "10 20 30",
-            "10 2o 30",
-            &["line 19, value 8 is 2o", "a number"],
-        );
+        refused("10 20 30", "10 2o 30", &["line 19, value 8 is 2o", "a number"]);
     }
 
     #[test]
     fn bytes_that_are_no_text_are_refused() {
-        assert_refused(
-            parse(Path::new("walk.bvh"), b"HIERARCHY \xff"),
-            &["byte 10 is no text"],
-        );
+        assert_refused(parse(Path::new("walk.bvh"), b"HIERARCHY \xff"), &["byte 10 is no text"]);
     }
 
     #[test]
     fn nesting_of_any_depth_ends_in_a_result() {
         let deep = |count: usize| {
-            let open: String = (1..count)
-                .map(|i| format!("JOINT j{i} {{ OFFSET 0 1 0 CHANNELS 0 "))
-                .collect();
+            let open: String =
+                (1..count).map(|i| format!("JOINT j{i} {{ OFFSET 0 1 0 CHANNELS 0 ")).collect();
             format!(
                 "HIERARCHY ROOT a {{ OFFSET 0 0 0 CHANNELS 1 Xrotation {open} {} \nMOTION\n\
                  Frames: 1\nFrame Time: 1\n0\n",
@@ -460,16 +349,9 @@ Frame Time: 0.05
             (arm.name.as_str(), arm.parent, arm.offset),
             ("Upper Arm", Some(0), [10.0, 0.0, 0.0])
         );
-        let rotations = [
-            Channel::Rotation(2),
-            Channel::Rotation(0),
-            Channel::Rotation(1),
-        ];
+        let rotations = [Channel::Rotation(2), Channel::Rotation(0), Channel::Rotation(1)];
         assert_eq!(arm.channels, rotations);
-        assert_eq!(
-            (bvh.channel_count(), bvh.values.len(), bvh.frame_time_s),
-            (9, 18, 0.05)
-        );
+        assert_eq!((bvh.channel_count(), bvh.values.len(), bvh.frame_time_s), (9, 18, 0.05));
         assert_eq!(bvh.values[6..10], [10.0, 20.0, 30.0, 1.0]);
     }
 
@@ -482,9 +364,7 @@ Frame Time: 0.05
                 .replace("Upper\tArm", "Upper Arm")
                 .replace("Frame\tT", "Frame T"),
             ARM.replace("\n{", "{").replace("\n  {", "{"),
-            ARM.to_uppercase()
-                .replace("UPPER ARM", "Upper Arm")
-                .replace("HIPS", "Hips"),
+            ARM.to_uppercase().replace("UPPER ARM", "Upper Arm").replace("HIPS", "Hips"),
             format!("\u{feff}{}\n\n", ARM.replace("Frames: 2", "Frames:2")),
         ];
         for text in variants {
@@ -496,11 +376,7 @@ Frame Time: 0.05
     fn emit(bvh: &Bvh) -> String {
         fn block(bvh: &Bvh, index: usize, text: &mut String) {
             let joint = &bvh.joints[index];
-            let keyword = if joint.parent.is_none() {
-                "ROOT"
-            } else {
-                "JOINT"
-            };
+            let keyword = if joint.parent.is_none() { "ROOT" } else { "JOINT" };
             let [x, y, z] = joint.offset;
             *text += &format!(
                 "{keyword} {}\n{{\nOFFSET {x} {y} {z}\nCHANNELS {}",
@@ -522,11 +398,7 @@ Frame Time: 0.05
         let mut text = "HIERARCHY\n".to_string();
         block(bvh, 0, &mut text);
         let frames = bvh.values.chunks(bvh.channel_count());
-        text += &format!(
-            "MOTION\nFrames: {}\nFrame Time: {}\n",
-            frames.len(),
-            bvh.frame_time_s
-        );
+        text += &format!("MOTION\nFrames: {}\nFrame Time: {}\n", frames.len(), bvh.frame_time_s);
         for frame in frames {
             let numbers: Vec<String> = frame.iter().map(f64::to_string).collect();
             text += &format!("{}\n", numbers.join(" "));
@@ -536,11 +408,7 @@ Frame Time: 0.05
 
     fn any_bvh() -> impl Strategy<Value = Bvh> {
         let channels = Just([0, 1, 2].map(Channel::Rotation).to_vec()).prop_shuffle();
-        let joint = (
-            channels,
-            prop::array::uniform3(-1e3..1e3),
-            any::<prop::sample::Index>(),
-        );
+        let joint = (channels, prop::array::uniform3(-1e3..1e3), any::<prop::sample::Index>());
         (prop::collection::vec(joint, 1..8), 1usize..5).prop_flat_map(|(joints, frame_count)| {
             let joints: Vec<Joint> = joints
                 .into_iter()

@@ -95,10 +95,7 @@ fn nearest_centres(points: &Points, centres: &[Vec<f64>]) -> Vec<usize> {
     let nearest = |point: &[f64]| {
         let distances = centres.iter().map(|centre| square_distance(point, centre));
         let by_distance = |a: &(usize, f64), b: &(usize, f64)| a.1.total_cmp(&b.1);
-        distances
-            .enumerate()
-            .min_by(by_distance)
-            .map_or(0, |(index, _)| index)
+        distances.enumerate().min_by(by_distance).map_or(0, |(index, _)| index)
     };
     points.iter().map(nearest).collect()
 }
@@ -106,12 +103,7 @@ fn nearest_centres(points: &Points, centres: &[Vec<f64>]) -> Vec<usize> {
 /// Moves every centre to the mean of its group; the centre of an empty group stays.
 fn move_centres(points: &Points, groups: &[usize], centres: &mut [Vec<f64>]) {
     for (index, centre) in centres.iter_mut().enumerate() {
-        let members = || {
-            points
-                .iter()
-                .zip(groups)
-                .filter(|&(_, &group)| group == index)
-        };
+        let members = || points.iter().zip(groups).filter(|&(_, &group)| group == index);
         let count = members().count();
         if count == 0 {
             continue;
@@ -133,28 +125,19 @@ mod tests {
     use super::*;
 
     fn group_count(groups: &[usize]) -> usize {
-        groups
-            .iter()
-            .collect::<std::collections::BTreeSet<_>>()
-            .len()
+        groups.iter().collect::<std::collections::BTreeSet<_>>().len()
     }
 
     #[test]
     fn points_that_coincide_make_one_group() {
-        let points = Points {
-            dimension_count: 2,
-            values: &[1.5; 20],
-        };
+        let points = Points { dimension_count: 2, values: &[1.5; 20] };
         let groups = cluster(&points, 4, &mut ChaCha8Rng::seed_from_u64(1));
         assert_eq!(group_count(&groups), 1);
     }
 
     #[test]
     fn more_centres_than_distinct_points_make_a_group_each() {
-        let points = Points {
-            dimension_count: 1,
-            values: &[0.0, 0.0, 5.0, 5.0, 9.0],
-        };
+        let points = Points { dimension_count: 1, values: &[0.0, 0.0, 5.0, 5.0, 9.0] };
         let groups = cluster(&points, 4, &mut ChaCha8Rng::seed_from_u64(1));
         assert_eq!(group_count(&groups), 3);
         assert_eq!(groups[0], groups[1]);
@@ -163,13 +146,9 @@ mod tests {
 
     #[test]
     fn clouds_far_apart_make_a_group_each_from_every_start() {
-        let values: Vec<f64> = (0..60)
-            .map(|i| 100.0 * (i % 3) as f64 + (i as f64 * 0.7).sin())
-            .collect();
-        let points = Points {
-            dimension_count: 1,
-            values: &values,
-        };
+        let values: Vec<f64> =
+            (0..60).map(|i| 100.0 * (i % 3) as f64 + (i as f64 * 0.7).sin()).collect();
+        let points = Points { dimension_count: 1, values: &values };
         for seed in 0..20 {
             let groups = cluster(&points, 3, &mut ChaCha8Rng::seed_from_u64(seed));
             assert_eq!(group_count(&groups), 3);

@@ -13,9 +13,7 @@ pub const MUTED: &str = "#6b7785";
 pub const FAINT: &str = "#dde2e8";
 /// One colour a variation, told apart by colour-blind people too (Okabe and Ito, 2008, less its
 /// yellow and black).
-pub const PALETTE: [&str; 6] = [
-    "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00",
-];
+pub const PALETTE: [&str; 6] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00"];
 
 /// A point in pixels, y down.
 pub type Point = (f64, f64);
@@ -47,22 +45,12 @@ pub struct TextStyle {
 impl TextStyle {
     /// Running text.
     pub const fn plain(anchor: Anchor) -> Self {
-        Self {
-            anchor,
-            size: 11.0,
-            color: MUTED,
-            weight: 400,
-        }
+        Self { anchor, size: 11.0, color: MUTED, weight: 400 }
     }
 
     /// A heading.
     pub const fn heading(size: f64) -> Self {
-        Self {
-            anchor: Anchor::Start,
-            size,
-            color: INK,
-            weight: 600,
-        }
+        Self { anchor: Anchor::Start, size, color: INK, weight: 600 }
     }
 }
 
@@ -77,19 +65,12 @@ pub struct Svg {
 impl Svg {
     /// An empty white picture, sizes in pixels.
     pub fn new(width: f64, height: f64) -> Self {
-        Self {
-            width,
-            height,
-            marks: String::new(),
-        }
+        Self { width, height, marks: String::new() }
     }
 
     /// A line through all points, with round joins and ends.
     pub fn line(&mut self, points: &[Point], color: &str, width: f64) {
-        let list: Vec<String> = points
-            .iter()
-            .map(|(x, y)| format!("{x:.2},{y:.2}"))
-            .collect();
+        let list: Vec<String> = points.iter().map(|(x, y)| format!("{x:.2},{y:.2}")).collect();
         self.mark(&format!(
             r#"<polyline points="{}" stroke="{color}" stroke-width="{width}"/>"#,
             list.join(" ")
@@ -111,12 +92,7 @@ impl Svg {
             Anchor::Middle => "middle",
             Anchor::End => "end",
         };
-        let TextStyle {
-            size,
-            color,
-            weight,
-            ..
-        } = style;
+        let TextStyle { size, color, weight, .. } = style;
         self.mark(&format!(
             r#"<text x="{x:.1}" y="{y:.1}" text-anchor="{anchor}" font-size="{size}"
  font-weight="{weight}" fill="{color}" stroke="none">{}</text>"#,
@@ -131,11 +107,7 @@ impl Svg {
 
     /// The whole file.
     pub fn finish(self) -> String {
-        let Self {
-            width,
-            height,
-            marks,
-        } = self;
+        let Self { width, height, marks } = self;
         let mut file = String::new();
         // Writing to a String cannot fail.
         let _ = write!(
@@ -154,10 +126,7 @@ impl Svg {
 }
 
 fn escape(text: &str) -> String {
-    text.replace('&', "&amp;")
-        .replace('<', "&lt;")
-        .replace('>', "&gt;")
-        .replace('"', "&quot;")
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
 /// Round numbers inside `min..=max`, about `count` of them, and their decimals: steps of 1, 2 or 5
@@ -168,18 +137,12 @@ pub fn ticks(min: f64, max: f64, count: usize) -> (Vec<f64>, usize) {
         return (vec![min], 1);
     }
     let power = 10_f64.powf(rough.log10().floor());
-    let step = [1.0, 2.0, 5.0, 10.0]
-        .iter()
-        .map(|factor| factor * power)
-        .find(|s| *s >= rough);
+    let step = [1.0, 2.0, 5.0, 10.0].iter().map(|factor| factor * power).find(|s| *s >= rough);
     let step = step.unwrap_or(power);
     let decimals = (-step.log10().floor()).max(0.0) as usize;
     let first = (min / step).ceil() as i64;
     let last = (max / step).floor() as i64;
-    (
-        (first..=last).map(|index| index as f64 * step).collect(),
-        decimals,
-    )
+    ((first..=last).map(|index| index as f64 * step).collect(), decimals)
 }
 
 #[cfg(test)]

@@ -3,9 +3,9 @@
 //! In:  joint positions of all motions of a picture; camera coordinates point y down, BVH y up, robots z up.
 //! Out: [`View`] to `stick_figures`.
 
-use crate::rotation::{Vector, cross, dot};
-use crate::skeleton::Skeleton;
-use crate::svg::Point;
+use crate::body::rotation::{Vector, cross, dot};
+use crate::body::skeleton::Skeleton;
+use crate::picture::svg::Point;
 
 /// Joint positions of one motion. // (frame, joint)
 pub type Frames = Vec<Vec<Vector>>;
@@ -28,11 +28,7 @@ impl View {
         let named = skeleton.and_then(|skeleton| feet_to_head(skeleton, joints));
         let up = named.unwrap_or_else(|| from_the_floor(joints));
         let right = [1.0, 0.0, 0.0];
-        Self {
-            right,
-            up,
-            viewer: cross(right, up),
-        }
+        Self { right, up, viewer: cross(right, up) }
     }
 
     /// Across and up.
@@ -44,11 +40,7 @@ impl View {
 /// The axis, y or z, that most points from the feet to the head on average.
 fn feet_to_head(skeleton: &Skeleton, joints: &[Frames]) -> Option<Vector> {
     let named = |words: &[&str]| -> Vec<usize> {
-        let names = skeleton
-            .names
-            .iter()
-            .map(|name| name.to_lowercase())
-            .enumerate();
+        let names = skeleton.names.iter().map(|name| name.to_lowercase()).enumerate();
         names
             .filter(|(_, name)| words.iter().any(|word| name.contains(word)))
             .map(|(joint, _)| joint)
@@ -59,10 +51,7 @@ fn feet_to_head(skeleton: &Skeleton, joints: &[Frames]) -> Option<Vector> {
         return None;
     }
     let mean = |set: &[usize], axis: usize| -> f64 {
-        let values = joints
-            .iter()
-            .flatten()
-            .flat_map(|p| set.iter().map(move |j| p[*j][axis]));
+        let values = joints.iter().flatten().flat_map(|p| set.iter().map(move |j| p[*j][axis]));
         values.clone().sum::<f64>() / values.count().max(1) as f64
     };
     let rise = |axis: usize| mean(&heads, axis) - mean(&feet, axis);
@@ -74,39 +63,24 @@ fn feet_to_head(skeleton: &Skeleton, joints: &[Frames]) -> Option<Vector> {
 fn from_the_floor(joints: &[Frames]) -> Vector {
     let extremes = |axis: usize| -> Vec<Point> {
         let of_pose = |pose: &Vec<Vector>| {
-            pose.iter()
-                .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), p| {
-                    (low.min(p[axis]), high.max(p[axis]))
-                })
+            pose.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), p| {
+                (low.min(p[axis]), high.max(p[axis]))
+            })
         };
         joints.iter().flatten().map(of_pose).collect()
     };
-    let length = |axis: usize| {
-        extremes(axis)
-            .iter()
-            .map(|(low, high)| high - low)
-            .sum::<f64>()
-    };
+    let length = |axis: usize| extremes(axis).iter().map(|(low, high)| high - low).sum::<f64>();
     let axis = if length(1) >= length(2) { 1 } else { 2 };
     let spread = |values: Vec<f64>| {
         let mean = values.iter().sum::<f64>() / values.len().max(1) as f64;
-        values
-            .iter()
-            .map(|value| (value - mean).powi(2))
-            .sum::<f64>()
+        values.iter().map(|value| (value - mean).powi(2)).sum::<f64>()
     };
     let (low, high): (Vec<f64>, Vec<f64>) = extremes(axis).into_iter().unzip();
     axis_vector(axis, spread(high) - spread(low))
 }
 
 fn axis_vector(axis: usize, sign: f64) -> Vector {
-    std::array::from_fn(|k| {
-        if k == axis {
-            if sign < 0.0 { -1.0 } else { 1.0 }
-        } else {
-            0.0
-        }
-    })
+    std::array::from_fn(|k| if k == axis { if sign < 0.0 { -1.0 } else { 1.0 } } else { 0.0 })
 }
 
 #[cfg(test)]
@@ -117,12 +91,7 @@ mod tests {
     fn jumper(up: Vector) -> Vec<Frames> {
         let at = |height: f64| up.map(|element| element * height);
         let heights = [(0.0, 1.7), (0.0, 1.2), (0.0, 1.6), (0.1, 1.75)];
-        vec![
-            heights
-                .iter()
-                .map(|(foot, head)| vec![at(*foot), at(*head)])
-                .collect(),
-        ]
+        vec![heights.iter().map(|(foot, head)| vec![at(*foot), at(*head)]).collect()]
     }
 
     #[test]

@@ -4,12 +4,12 @@
 //! In:  joint positions of motions (from `picture`).
 //! Out: SVG; all figures at one scale, every motion on its own floor line.
 
+use crate::body::rotation::{Vector, dot};
+use crate::body::skeleton::Skeleton;
 use crate::export::Motion;
 use crate::layout::Unit;
-use crate::rotation::{Vector, dot};
-use crate::skeleton::Skeleton;
-use crate::svg::{Anchor, FAINT, INK, MUTED, Point, Svg, TextStyle};
-use crate::view::{Frames, View};
+use crate::picture::svg::{Anchor, FAINT, INK, MUTED, Point, Svg, TextStyle};
+use crate::picture::view::{Frames, View};
 
 const MARGIN: f64 = 28.0;
 const HEADER_HEIGHT: f64 = 74.0;
@@ -40,10 +40,7 @@ pub fn draw(motions: &[Motion], joints: &[Frames], title: &str) -> String {
         let floor_y = top + ROW_AIR.0 + size.height_px;
         draw_label(&mut svg, motion, floor_y - size.height_px / 2.0);
         draw_figures(&mut svg, motion, frames, &view, &size, floor_y);
-        let middle = (
-            width - MARGIN - PATH_WIDTH / 2.0,
-            floor_y - size.height_px / 2.0,
-        );
+        let middle = (width - MARGIN - PATH_WIDTH / 2.0, floor_y - size.height_px / 2.0);
         draw_path(&mut svg, motion, frames, &view, &size, middle);
     }
     svg.finish()
@@ -65,53 +62,33 @@ impl Size {
         });
         let widest = joints.iter().flatten().map(|pose| {
             let (root, _) = view.flat(pose[0]);
-            pose.iter()
-                .map(|p| (view.flat(*p).0 - root).abs())
-                .fold(0.0, f64::max)
+            pose.iter().map(|p| (view.flat(*p).0 - root).abs()).fold(0.0, f64::max)
         });
         let tallest = tallest.fold(0.0, f64::max).max(1e-9);
         let widest = 2.0 * widest.fold(0.0, f64::max).max(1e-9);
         let px_per_unit = (BODY_HEIGHT_MAX / tallest).min(1.25 * CELL_WIDTH / widest);
-        Self {
-            px_per_unit,
-            height_px: px_per_unit * tallest,
-        }
+        Self { px_per_unit, height_px: px_per_unit * tallest }
     }
 }
 
 /// Lowest height of any joint of a motion.
 fn floor(view: &View, frames: &Frames) -> f64 {
-    frames
-        .iter()
-        .flatten()
-        .map(|p| dot(*p, view.up))
-        .fold(f64::INFINITY, f64::min)
+    frames.iter().flatten().map(|p| dot(*p, view.up)).fold(f64::INFINITY, f64::min)
 }
 
 fn draw_header(svg: &mut Svg, motions: &[Motion], title: &str, width: f64) {
     svg.text((MARGIN, MARGIN + 10.0), &TextStyle::heading(20.0), title);
     let provenance = motions.first().map_or("", |motion| &motion.provenance);
-    svg.text(
-        (MARGIN, MARGIN + 28.0),
-        &TextStyle::plain(Anchor::Start),
-        provenance,
-    );
+    svg.text((MARGIN, MARGIN + 28.0), &TextStyle::plain(Anchor::Start), provenance);
     let y = MARGIN + 10.0;
     let right = width - MARGIN;
-    svg.text(
-        (right - PATH_WIDTH / 2.0, y),
-        &TextStyle::plain(Anchor::Middle),
-        "path from above",
-    );
+    svg.text((right - PATH_WIDTH / 2.0, y), &TextStyle::plain(Anchor::Middle), "path from above");
     let has_sides = motions.iter().any(|motion| {
         let names = motion.skeleton.iter().flat_map(|skeleton| &skeleton.names);
         names.into_iter().any(|name| limb_color(name) != INK)
     });
     if has_sides {
-        let sides = [
-            ("left of the body", LEFT_COLOR),
-            ("right of the body", RIGHT_COLOR),
-        ];
+        let sides = [("left of the body", LEFT_COLOR), ("right of the body", RIGHT_COLOR)];
         for (index, (side, color)) in sides.into_iter().enumerate() {
             let x = right - PATH_WIDTH - 250.0 + 122.0 * index as f64;
             svg.line(&[(x, y - 4.0), (x + 16.0, y - 4.0)], color, 3.0);
@@ -146,18 +123,11 @@ fn draw_figures(
         let (root, _) = view.flat(pose[0]);
         let place = |position: Vector| -> Point {
             let (across, height) = view.flat(position);
-            (
-                x + (across - root) * size.px_per_unit,
-                floor_y - (height - floor) * size.px_per_unit,
-            )
+            (x + (across - root) * size.px_per_unit, floor_y - (height - floor) * size.px_per_unit)
         };
         draw_figure(svg, motion.skeleton.as_ref(), pose, view, size, &place);
         let seconds = format!("{:.2} s", frame as f64 / motion.rate_hz);
-        svg.text(
-            (x, floor_y + 16.0),
-            &TextStyle::plain(Anchor::Middle),
-            &seconds,
-        );
+        svg.text((x, floor_y + 16.0), &TextStyle::plain(Anchor::Middle), &seconds);
     }
 }
 
@@ -186,12 +156,7 @@ fn draw_figure(
         let color = limb_color(&skeleton.names[child]);
         svg.line(&[place(pose[parent]), place(pose[child])], color, 2.6);
         if skeleton.names[child].to_lowercase().contains("head") {
-            svg.circle(
-                place(pose[child]),
-                HEAD_RADIUS * size.height_px,
-                "white",
-                INK,
-            );
+            svg.circle(place(pose[child]), HEAD_RADIUS * size.height_px, "white", INK);
         }
     }
 }
@@ -220,11 +185,9 @@ fn draw_path(
     let across = |pose: &Vec<Vector>| (dot(pose[0], view.right), dot(pose[0], view.viewer));
     let way: Vec<Point> = frames.iter().map(across).collect();
     let range = |values: &dyn Fn(&Point) -> f64| {
-        way.iter()
-            .map(values)
-            .fold((f64::INFINITY, f64::NEG_INFINITY), |(min, max), value| {
-                (min.min(value), max.max(value))
-            })
+        way.iter().map(values).fold((f64::INFINITY, f64::NEG_INFINITY), |(min, max), value| {
+            (min.min(value), max.max(value))
+        })
     };
     let ((x_min, x_max), (y_min, y_max)) = (range(&|point| point.0), range(&|point| point.1));
     let extent = (x_max - x_min).max(y_max - y_min).max(1e-9);
@@ -234,10 +197,7 @@ fn draw_path(
         .iter()
         .map(|(across, near)| {
             let center = ((x_min + x_max) / 2.0, (y_min + y_max) / 2.0);
-            (
-                x + (across - center.0) * factor,
-                y + (near - center.1) * factor,
-            )
+            (x + (across - center.0) * factor, y + (near - center.1) * factor)
         })
         .collect();
     svg.line(&points, MUTED, 1.2);
@@ -245,18 +205,12 @@ fn draw_path(
         svg.circle(*start, 2.2, "white", INK);
         svg.circle(*end, 2.2, INK, INK);
     }
-    let length: f64 = way
-        .windows(2)
-        .map(|pair| (pair[1].0 - pair[0].0).hypot(pair[1].1 - pair[0].1))
-        .sum();
+    let length: f64 =
+        way.windows(2).map(|pair| (pair[1].0 - pair[0].0).hypot(pair[1].1 - pair[0].1)).sum();
     let unit = match motion.layout.groups.first().map(|group| group.unit) {
         None | Some(Unit::One) => "",
         Some(unit) => unit.suffix(),
     };
     let text = format!("{length:.2} {unit} long");
-    svg.text(
-        (x, y + size.height_px / 2.0 + 16.0),
-        &TextStyle::plain(Anchor::Middle),
-        &text,
-    );
+    svg.text((x, y + size.height_px / 2.0 + 16.0), &TextStyle::plain(Anchor::Middle), &text);
 }

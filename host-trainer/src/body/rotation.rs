@@ -25,9 +25,7 @@ pub struct Rotation {
 
 impl Rotation {
     /// Leaves every vector as it is.
-    pub const IDENTITY: Self = Self {
-        rows: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
-    };
+    pub const IDENTITY: Self = Self { rows: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]] };
 
     /// Orthonormalises six numbers, the first two rows, by Gram-Schmidt.
     ///
@@ -39,17 +37,13 @@ impl Rotation {
         let along = dot(first, second);
         let second =
             unit(subtract(second, scale(first, along))).unwrap_or_else(|| any_perpendicular(first));
-        Self {
-            rows: [first, second, cross(first, second)],
-        }
+        Self { rows: [first, second, cross(first, second)] }
     }
 
     /// The first two rows, row-major.
     pub fn to_6d(&self) -> [f64; 6] {
         let [first, second, _] = self.rows;
-        [
-            first[0], first[1], first[2], second[0], second[1], second[2],
-        ]
+        [first[0], first[1], first[2], second[0], second[1], second[2]]
     }
 
     /// From a quaternion of any length but zero; zero gives the identity.
@@ -61,21 +55,9 @@ impl Rotation {
         let [w, x, y, z] = quaternion.map(|element| element / length);
         Self {
             rows: [
-                [
-                    1.0 - 2.0 * (y * y + z * z),
-                    2.0 * (x * y - w * z),
-                    2.0 * (x * z + w * y),
-                ],
-                [
-                    2.0 * (x * y + w * z),
-                    1.0 - 2.0 * (x * x + z * z),
-                    2.0 * (y * z - w * x),
-                ],
-                [
-                    2.0 * (x * z - w * y),
-                    2.0 * (y * z + w * x),
-                    1.0 - 2.0 * (x * x + y * y),
-                ],
+                [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
+                [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
+                [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
             ],
         }
     }
@@ -93,13 +75,8 @@ impl Rotation {
             [c - g, b + d, 1.0 - a + e - i, f + h],
             [d - b, c + g, f + h, 1.0 - a - e + i],
         ];
-        let largest = (0..4).fold(0, |best, k| {
-            if candidates[k][k] > candidates[best][best] {
-                k
-            } else {
-                best
-            }
-        });
+        let largest = (0..4)
+            .fold(0, |best, k| if candidates[k][k] > candidates[best][best] { k } else { best });
         let chosen = candidates[largest];
         let length = chosen.iter().map(|x| x * x).sum::<f64>().sqrt();
         let sign = if chosen[0] < 0.0 { -1.0 } else { 1.0 };
@@ -110,11 +87,7 @@ impl Rotation {
     pub fn from_rotation_vector(vector: Vector) -> Self {
         let angle_rad = length(vector);
         // sin(x/2)/x tends to 1/2: the branch avoids 0/0 and nothing else.
-        let factor = if angle_rad < LENGTH_MIN {
-            0.5
-        } else {
-            (angle_rad / 2.0).sin() / angle_rad
-        };
+        let factor = if angle_rad < LENGTH_MIN { 0.5 } else { (angle_rad / 2.0).sin() / angle_rad };
         let [x, y, z] = scale(vector, factor);
         Self::from_quaternion([(angle_rad / 2.0).cos(), x, y, z])
     }
@@ -124,11 +97,7 @@ impl Rotation {
     pub fn rotation_vector(&self) -> Vector {
         let [w, x, y, z] = self.quaternion();
         let sine = length([x, y, z]);
-        let factor = if sine < LENGTH_MIN {
-            2.0
-        } else {
-            2.0 * sine.atan2(w) / sine
-        };
+        let factor = if sine < LENGTH_MIN { 2.0 } else { 2.0 * sine.atan2(w) / sine };
         scale([x, y, z], factor)
     }
 
@@ -149,19 +118,13 @@ impl Rotation {
     /// The rotation back.
     pub fn inverse(&self) -> Self {
         let rows = self.rows;
-        Self {
-            rows: std::array::from_fn(|row| std::array::from_fn(|column| rows[column][row])),
-        }
+        Self { rows: std::array::from_fn(|row| std::array::from_fn(|column| rows[column][row])) }
     }
 
     /// `other` first, then `self`: the matrix product `self · other`.
     pub fn after(&self, other: &Self) -> Self {
         let columns = other.inverse().rows;
-        Self {
-            rows: self
-                .rows
-                .map(|row| std::array::from_fn(|column| dot(row, columns[column]))),
-        }
+        Self { rows: self.rows.map(|row| std::array::from_fn(|column| dot(row, columns[column]))) }
     }
 
     /// Rotates a vector.
@@ -188,11 +151,7 @@ pub fn dot(a: Vector, b: Vector) -> f64 {
 
 /// Right-handed vector product.
 pub fn cross(a: Vector, b: Vector) -> Vector {
-    [
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    ]
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
 /// `a + b`.
@@ -223,11 +182,7 @@ pub fn unit(vector: Vector) -> Option<Vector> {
 
 /// A unit vector at a right angle to a unit vector; fixed, but not continuous.
 pub fn any_perpendicular(direction: Vector) -> Vector {
-    let axis = if direction[0].abs() < 0.6 {
-        [1.0, 0.0, 0.0]
-    } else {
-        [0.0, 1.0, 0.0]
-    };
+    let axis = if direction[0].abs() < 0.6 { [1.0, 0.0, 0.0] } else { [0.0, 1.0, 0.0] };
     unit(cross(direction, axis)).unwrap_or([0.0, 0.0, 1.0])
 }
 
@@ -246,9 +201,7 @@ mod tests {
     }
 
     fn distance(a: &Rotation, b: &Rotation) -> f64 {
-        (0..9)
-            .map(|k| (a.rows[k / 3][k % 3] - b.rows[k / 3][k % 3]).abs())
-            .fold(0.0, f64::max)
+        (0..9).map(|k| (a.rows[k / 3][k % 3] - b.rows[k / 3][k % 3]).abs()).fold(0.0, f64::max)
     }
 
     #[test]

@@ -67,24 +67,15 @@ pub fn report_unit(unit: Unit) -> (&'static str, f64) {
 pub fn error_columns(description: &DatasetDescription) -> Vec<ErrorColumn> {
     let mut columns: Vec<ErrorColumn> = Vec::new();
     for kind in GroupKind::ALL {
-        for (group, channels) in description
-            .layout
-            .ranges()
-            .filter(|(group, _)| group.kind == kind)
+        for (group, channels) in description.layout.ranges().filter(|(group, _)| group.kind == kind)
         {
             let (unit, factor) = report_unit(group.unit);
             let name = format!("{}_{unit}", kind.name());
-            match columns
-                .iter_mut()
-                .find(|column| column.name == name && column.factor == factor)
-            {
+            match columns.iter_mut().find(|column| column.name == name && column.factor == factor) {
                 Some(column) => column.channels.extend(channels),
-                None => columns.push(ErrorColumn {
-                    name,
-                    kind,
-                    channels: channels.collect(),
-                    factor,
-                }),
+                None => {
+                    columns.push(ErrorColumn { name, kind, channels: channels.collect(), factor })
+                }
             }
         }
     }
@@ -140,11 +131,7 @@ impl MetricSums {
             loss: (self.reconstruction + self.divergence) / step_count,
             reconstruction: self.reconstruction / step_count,
             divergence: self.divergence / step_count,
-            error_rms: self
-                .columns
-                .iter()
-                .map(|c| (c.name.clone(), self.rms(c)))
-                .collect(),
+            error_rms: self.columns.iter().map(|c| (c.name.clone(), self.rms(c))).collect(),
             decoder_learning_rate: 0.0,
             code_learning_rate: 0.0,
             steps_per_s: 0.0,
@@ -187,16 +174,10 @@ impl MetricLog {
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => String::new(),
             Err(error) => return Err(Error::io("read", &path)(error)),
         };
-        let parsed = text
-            .lines()
-            .map_while(|line| serde_json::from_str(line).ok());
-        let lines: Vec<_> = parsed
-            .take_while(|line: &MetricLine| line.step <= step)
-            .collect();
+        let parsed = text.lines().map_while(|line| serde_json::from_str(line).ok());
+        let lines: Vec<_> = parsed.take_while(|line: &MetricLine| line.step <= step).collect();
         crate::atomic_file::replace(&path, |file| {
-            lines
-                .iter()
-                .try_for_each(|line| writeln!(file, "{}", json(line)))
+            lines.iter().try_for_each(|line| writeln!(file, "{}", json(line)))
         })?;
         Ok(Self { path, lines })
     }
@@ -207,10 +188,7 @@ impl MetricLog {
     /// `Io` when the file cannot be written.
     pub fn push(&mut self, line: MetricLine) -> Result<()> {
         let append = || {
-            let mut file = OpenOptions::new()
-                .append(true)
-                .create(true)
-                .open(&self.path)?;
+            let mut file = OpenOptions::new().append(true).create(true).open(&self.path)?;
             writeln!(file, "{}", json(&line))
         };
         append().map_err(Error::io("write", &self.path))?;

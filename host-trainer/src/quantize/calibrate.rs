@@ -1,14 +1,19 @@
 //! Station 6a: which values flow through the decoder, so that the quantiser can choose scales.
 //!
-//! In:  the float model, and codes like those the device will see: the clips' own and draws around them.
+//! In:  the float model, and codes like those the device will see: the clips' own and mixture draws.
 //! Out: the values at the input of every layer, as ranges, means and histograms.
 //!
 //! Why here: post-training quantisation needs nothing of the training poses but the activations they cause, and those
 //! follow from codes and times alone.
 
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
-use crate::float_model::{DenseLayer, FloatModel};
+use crate::dataset::DatasetDescription;
+use crate::error::Result;
+use crate::float_model::{CodeTable, DenseLayer, FloatModel};
+use crate::mixture::set::MixtureSet;
 
 /// One decoding to observe.
 #[derive(Clone, Debug, PartialEq)]
@@ -17,6 +22,39 @@ pub struct CalibrationCase {
     pub code: Vec<f32>,
     /// Frame positions to decode.
     pub frames: Vec<f64>,
+}
+
+/// Clips calibrated on, at most; more hardly move a range and take long at the paper's size.
+const CLIP_COUNT_MAX: usize = 300;
+/// Frames of each case, evenly spaced over the clip.
+const FRAME_COUNT: usize = 8;
+
+/// Every clip's own code, and a draw from the mixture for its action and length.
+///
+/// # Errors
+/// Those of [`MixtureSet::sample`]; none for the mixtures of the same dataset.
+pub fn calibration_cases(
+    sequence_codes: &CodeTable,
+    action_codes: &CodeTable,
+    dataset: &DatasetDescription,
+    mixtures: &MixtureSet,
+    seed: u64,
+) -> Result<Vec<CalibrationCase>> {
+    let stride = dataset.clips.len().div_ceil(CLIP_COUNT_MAX).max(1);
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let mut cases = Vec::new();
+    for (row, clip) in dataset.clips.iter().enumerate().step_by(stride) {
+        let last = (clip.frame_count - 1) as f64;
+        let frames: Vec<f64> =
+            (0..FRAME_COUNT).map(|i| last * i as f64 / (FRAME_COUNT - 1) as f64).collect();
+        let drawn = mixtures.sample(clip.action, clip.frame_count, &mut random)?;
+        let drawn: Vec<f32> = drawn.into_iter().map(|value| value as f32).collect();
+        for sequence_code in [sequence_codes.mean_of(row), &drawn] {
+            let code = [sequence_code, action_codes.mean_of(clip.action)].concat();
+            cases.push(CalibrationCase { code, frames: frames.clone() });
+        }
+    }
+    Ok(cases)
 }
 
 /// Inputs of one layer over all cases.
@@ -37,13 +75,9 @@ const VALUE_COUNT_MAX: usize = 200_000;
 
 /// Decodes all cases and observes the input of every layer after the first. // (layer - 1)
 pub fn calibrate(model: &FloatModel, cases: &[CalibrationCase]) -> Vec<Observed> {
-    let inputs: Vec<Vec<Vec<f32>>> = cases
-        .par_iter()
-        .flat_map_iter(|case| observe(model, case))
-        .collect();
-    (0..model.layers.len() - 1)
-        .map(|layer| summarize(&inputs, layer))
-        .collect()
+    let inputs: Vec<Vec<Vec<f32>>> =
+        cases.par_iter().flat_map_iter(|case| observe(model, case)).collect();
+    (0..model.layers.len() - 1).map(|layer| summarize(&inputs, layer)).collect()
 }
 
 /// Inputs of every layer after the first, for every frame of a case. // (frame)(layer - 1)(input)
@@ -66,19 +100,11 @@ fn observe(model: &FloatModel, case: &CalibrationCase) -> Vec<Vec<Vec<f32>>> {
 
 fn elu_layer(layer: &DenseLayer, input: &[f32]) -> Vec<f32> {
     let row = |(weights, bias): (&[f32], &f32)| {
-        let products = weights
-            .iter()
-            .zip(input)
-            .map(|(weight, value)| weight * value);
+        let products = weights.iter().zip(input).map(|(weight, value)| weight * value);
         let sum = products.sum::<f32>() + bias;
         if sum >= 0.0 { sum } else { sum.exp_m1() }
     };
-    layer
-        .weights
-        .chunks_exact(layer.input_count)
-        .zip(&layer.bias)
-        .map(row)
-        .collect()
+    layer.weights.chunks_exact(layer.input_count).zip(&layer.bias).map(row).collect()
 }
 
 fn summarize(inputs: &[Vec<Vec<f32>>], layer: usize) -> Observed {
@@ -89,19 +115,12 @@ fn summarize(inputs: &[Vec<Vec<f32>>], layer: usize) -> Observed {
             *sum += f64::from(*value);
         }
     }
-    let all = || {
-        inputs
-            .iter()
-            .flat_map(|layers| layers[layer].iter().copied())
-    };
+    let all = || inputs.iter().flat_map(|layers| layers[layer].iter().copied());
     let stride = (inputs.len() * width).div_ceil(VALUE_COUNT_MAX).max(1);
     Observed {
         min: all().fold(0.0, f32::min),
         max: all().fold(0.0, f32::max),
-        mean: sums
-            .iter()
-            .map(|sum| (sum / inputs.len().max(1) as f64) as f32)
-            .collect(),
+        mean: sums.iter().map(|sum| (sum / inputs.len().max(1) as f64) as f32).collect(),
         values: all().step_by(stride).collect(),
     }
 }

@@ -14,27 +14,27 @@
 
 use std::collections::HashMap;
 use std::fs;
-use std::io::{ErrorKind, Write};
+use std::io::ErrorKind;
 use std::path::Path;
 use std::vec::IntoIter;
 
 use safetensors::tensor::{Dtype, SafeTensors, TensorView, serialize};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
-use tempfile::NamedTempFile;
 
-use crate::checkpoint::Checkpoint;
+use crate::atomic_file::{self, Overwrite};
+use crate::checkpoint::{Checkpoint, hexadecimal};
 use crate::dataset::DatasetDescription;
 use crate::error::{Error, Result};
-use crate::fit::fit;
 use crate::float_model::CodeTable;
+use crate::mixture::fit::fit;
+use crate::mixture::set::{Fallback, FitReport, IntervalMixture, MixtureSet};
 use crate::mixture::{Component, Covariance, Factor, Mixture, MixtureConfig};
-use crate::mixture_set::{Fallback, FitReport, IntervalMixture, MixtureSet};
 
 /// The file's name within the run's folder.
 pub const FILE_NAME: &str = "mixture.safetensors";
 /// Part of the key; change it whenever `fit` would give other mixtures for the same input.
-const FIT_VERSION: &str = "karakuri mixture 1";
+const FIT_VERSION: &str = "karakuri mixture 2";
 
 /// The mixtures of a run's codes: read from its cache, or fitted and cached.
 ///
@@ -42,13 +42,7 @@ const FIT_VERSION: &str = "karakuri mixture 1";
 /// See [`fit_or_read`].
 pub fn of_checkpoint(run: &Path, checkpoint: &Checkpoint) -> Result<MixtureSet> {
     let config = &checkpoint.config;
-    fit_or_read(
-        run,
-        &checkpoint.sequence_codes,
-        &checkpoint.dataset,
-        &config.mixture,
-        config.seed,
-    )
+    fit_or_read(run, &checkpoint.sequence_codes, &checkpoint.dataset, &config.mixture, config.seed)
 }
 
 /// Reads the run's mixtures if they were fitted to this very input, otherwise fits and writes them.
@@ -82,14 +76,8 @@ pub fn key(
 ) -> String {
     let mut hash = Sha256::new();
     // Debug prints every field and every digit of a number, and cannot fail.
-    hash.update(format!(
-        "{FIT_VERSION} {seed} {config:?} {}",
-        codes.dimension_count
-    ));
-    hash.update(format!(
-        "{:?} {:?}",
-        description.actions, description.rate_hz
-    ));
+    hash.update(format!("{FIT_VERSION} {seed} {config:?} {}", codes.dimension_count));
+    hash.update(format!("{:?} {:?}", description.actions, description.rate_hz));
     hash.update(format!("{:?}", description.clips));
     for number in codes.mean.iter().chain(&codes.log_variance) {
         hash.update(number.to_le_bytes());
@@ -140,19 +128,11 @@ struct Numbers {
 
 impl Numbers {
     fn of(mixtures: &MixtureSet) -> Self {
-        let components = || {
-            mixtures
-                .intervals
-                .iter()
-                .flat_map(|i| &i.mixture.components)
-        };
+        let components = || mixtures.intervals.iter().flat_map(|i| &i.mixture.components);
         let reports = mixtures.intervals.iter().map(|interval| &interval.report);
         Self {
             weight: components().map(|component| component.weight).collect(),
-            mean: components()
-                .flat_map(|component| &component.mean)
-                .copied()
-                .collect(),
+            mean: components().flat_map(|component| &component.mean).copied().collect(),
             factor: components().flat_map(factor_numbers).copied().collect(),
             log_likelihood_mean: reports.map(|report| report.log_likelihood_mean).collect(),
         }
@@ -189,10 +169,9 @@ fn factor_numbers(component: &Component) -> &[f64] {
 }
 
 fn write(path: &Path, key: &str, mixtures: &MixtureSet) -> Result<()> {
-    let bytes = emit(key, mixtures).map_err(std::io::Error::other);
-    bytes
-        .and_then(|bytes| write_atomically(path, &bytes))
-        .map_err(Error::io("write", path))
+    let bytes =
+        emit(key, mixtures).map_err(std::io::Error::other).map_err(Error::io("write", path))?;
+    atomic_file::write(path, &bytes, Overwrite::Replace)
 }
 
 fn emit(key: &str, mixtures: &MixtureSet) -> anyhow::Result<Vec<u8>> {
@@ -205,10 +184,7 @@ fn emit(key: &str, mixtures: &MixtureSet) -> anyhow::Result<Vec<u8>> {
         ("outline".to_owned(), outline),
     ]);
     let tensors = numbers.named().map(|(name, values)| {
-        let bytes: Vec<u8> = values
-            .iter()
-            .flat_map(|value| value.to_le_bytes())
-            .collect();
+        let bytes: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
         (name, values.len(), bytes)
     });
     let views = tensors
@@ -216,15 +192,6 @@ fn emit(key: &str, mixtures: &MixtureSet) -> anyhow::Result<Vec<u8>> {
         .map(|(name, count, bytes)| Ok((*name, TensorView::new(Dtype::F64, vec![*count], bytes)?)))
         .collect::<anyhow::Result<Vec<_>>>()?;
     Ok(serialize(views, Some(metadata))?)
-}
-
-/// Leaves the old bytes or the new ones, whenever the process or the machine stops.
-fn write_atomically(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
-    let mut file = NamedTempFile::new_in(path.parent().unwrap_or(Path::new(".")))?;
-    file.write_all(bytes)?;
-    file.as_file().sync_all()?;
-    file.persist(path)?;
-    Ok(())
 }
 
 /// `None` when there is no file, or it is another fit's, or it is damaged.
@@ -264,10 +231,7 @@ fn parse(bytes: &[u8], key: &str, dimension_count: usize) -> Option<Vec<Interval
         log_likelihood_mean: numbers.log_likelihood_mean.into_iter(),
     };
     let outlines: Vec<Outline> = serde_json::from_str(outline).ok()?;
-    outlines
-        .into_iter()
-        .map(|outline| reader.interval(outline))
-        .collect()
+    outlines.into_iter().map(|outline| reader.interval(outline)).collect()
 }
 
 /// Hands out the tensors' numbers in the file's order.
@@ -289,10 +253,7 @@ impl Reader {
             frames_min: outline.frames_min,
             frames_max: outline.frames_max,
             clips: outline.clips,
-            mixture: Mixture {
-                dimension_count: self.dimension_count,
-                components,
-            },
+            mixture: Mixture { dimension_count: self.dimension_count, components },
             report: FitReport {
                 attempt_count: outline.attempt_count,
                 fallback: outline.fallback,
@@ -330,10 +291,6 @@ fn checksum(key: &str, outline: &str, numbers: &Numbers) -> String {
         }
     }
     hexadecimal(&hash.finalize())
-}
-
-fn hexadecimal(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 #[cfg(test)]
@@ -391,13 +348,7 @@ mod tests {
         }
 
         fn fit_or_read(&self, folder: &Path) -> Result<MixtureSet> {
-            fit_or_read(
-                folder,
-                &self.codes,
-                &self.description,
-                &self.config,
-                self.seed,
-            )
+            fit_or_read(folder, &self.codes, &self.description, &self.config, self.seed)
         }
 
         fn parse(&self, bytes: &[u8]) -> Option<Vec<IntervalMixture>> {
@@ -407,14 +358,8 @@ mod tests {
 
     #[test]
     fn folder_that_does_not_exist_is_an_error_that_names_the_file() {
-        let message = run()
-            .fit_or_read(Path::new("/no/such/run"))
-            .unwrap_err()
-            .to_string();
-        assert!(
-            message.starts_with("/no/such/run/mixture.safetensors: cannot write"),
-            "{message}"
-        );
+        let message = run().fit_or_read(Path::new("/no/such/run")).unwrap_err().to_string();
+        assert!(message.starts_with("/no/such/run/mixture.safetensors: cannot write"), "{message}");
     }
 
     #[test]
@@ -430,10 +375,7 @@ mod tests {
             let mut damaged = bytes.clone();
             damaged[index] ^= 0x20;
             // Spaces in the header may change without changing its meaning.
-            assert!(
-                run.parse(&damaged)
-                    .is_none_or(|_| matches!(bytes[index], b' ' | 0))
-            );
+            assert!(run.parse(&damaged).is_none_or(|_| matches!(bytes[index], b' ' | 0)));
         }
     }
 

@@ -48,7 +48,7 @@ pub struct IntervalMixture {
     /// Greatest number of poses served, inclusive.
     pub frames_max: usize,
     /// Rows of the code table that the mixture was fitted to; see
-    /// [`Interval`](crate::interval::Interval).
+    /// [`Interval`](crate::mixture::interval::Interval).
     pub clips: Vec<usize>,
     /// The density.
     pub mixture: Mixture,
@@ -143,9 +143,7 @@ impl MixtureSet {
             None => format!("number {action}"),
         };
         let trained = |&(index, _): &(usize, &String)| {
-            self.intervals
-                .iter()
-                .any(|interval| interval.action == index)
+            self.intervals.iter().any(|interval| interval.action == index)
         };
         let names: Vec<&str> = self
             .actions
@@ -187,11 +185,7 @@ mod tests {
                     factor: Factor::Diagonal(vec![0.01]),
                 }],
             },
-            report: FitReport {
-                attempt_count: 1,
-                fallback: None,
-                log_likelihood_mean: 0.0,
-            },
+            report: FitReport { attempt_count: 1, fallback: None, log_likelihood_mean: 0.0 },
         }
     }
 
@@ -209,10 +203,7 @@ mod tests {
 
     fn refusal(action: usize, frames: usize) -> String {
         let mut rng = ChaCha8Rng::seed_from_u64(1);
-        mixture_set()
-            .sample(action, frames, &mut rng)
-            .unwrap_err()
-            .to_string()
+        mixture_set().sample(action, frames, &mut rng).unwrap_err().to_string()
     }
 
     #[test]

@@ -10,7 +10,7 @@ use karakuri::manifest::{SamplerKind, SamplerShape, TensorKind};
 
 use crate::float_model::CodeTable;
 use crate::mixture::Factor;
-use crate::mixture_set::{IntervalMixture, MixtureSet};
+use crate::mixture::set::{IntervalMixture, MixtureSet};
 
 /// Largest step towards a neighbour, as a share of the way.
 const STEP_MAX: f64 = 0.2;
@@ -34,10 +34,7 @@ pub fn code_fraction_bits(tables: [&CodeTable; 2]) -> u8 {
             .fold(0.0, f32::max)
     };
     let largest = f64::from(reach(tables[0]).max(reach(tables[1]))).max(1.0);
-    (0..=14)
-        .rev()
-        .find(|&bits| largest * f64::from(1 << bits) < 32_767.0)
-        .unwrap_or(0)
+    (0..=14).rev().find(|&bits| largest * f64::from(1 << bits) < 32_767.0).unwrap_or(0)
 }
 
 /// Builds the tables of a sampler of `kind`.
@@ -65,14 +62,10 @@ struct ByteTable {
 fn byte_table(rows: &[Vec<f64>], full_scale: f64) -> ByteTable {
     let dimensions = rows.first().map_or(0, Vec::len);
     let largest = |column: usize| rows.iter().map(|row| row[column].abs()).fold(0.0, f64::max);
-    let steps: Vec<f64> = (0..dimensions)
-        .map(|column| largest(column).max(1e-6) / full_scale)
-        .collect();
+    let steps: Vec<f64> =
+        (0..dimensions).map(|column| largest(column).max(1e-6) / full_scale).collect();
     let store = |(value, step): (&f64, &f64)| (value / step).round() as i32 as u8;
-    let bytes = rows
-        .iter()
-        .flat_map(|row| row.iter().zip(&steps).map(store))
-        .collect();
+    let bytes = rows.iter().flat_map(|row| row.iter().zip(&steps).map(store)).collect();
     ByteTable { bytes, steps }
 }
 
@@ -97,10 +90,8 @@ fn clip_codes(codes: &CodeTable, mixtures: &MixtureSet, code_unit: f64) -> Quant
         .map(|row| row.iter().map(|&x| f64::from(x).exp()).collect())
         .collect();
     let all: Vec<usize> = (0..rows.len()).collect();
-    let shared: Vec<f64> = mean_variance(&variances, &all)
-        .iter()
-        .map(|variance| variance.sqrt())
-        .collect();
+    let shared: Vec<f64> =
+        mean_variance(&variances, &all).iter().map(|variance| variance.sqrt()).collect();
     let table = byte_table(&rows, 127.0);
     let (mut members, mut intervals) = (Vec::new(), Vec::new());
     for interval in &mixtures.intervals {
@@ -110,13 +101,7 @@ fn clip_codes(codes: &CodeTable, mixtures: &MixtureSet, code_unit: f64) -> Quant
             let weight = (position + 1) * usize::from(u16::MAX) / interval.clips.len();
             push_u16s(&mut members, [clip, weight]);
         }
-        push_interval(
-            &mut intervals,
-            interval,
-            spread,
-            first,
-            interval.clips.len(),
-        );
+        push_interval(&mut intervals, interval, spread, first, interval.clips.len());
     }
     let shape = SamplerShape {
         kind: SamplerKind::ClipCodes,
@@ -127,10 +112,7 @@ fn clip_codes(codes: &CodeTable, mixtures: &MixtureSet, code_unit: f64) -> Quant
     };
     let tensors = vec![
         (TensorKind::Components, table.bytes),
-        (
-            TensorKind::ComponentSteps,
-            step_bytes(&table.steps, code_unit),
-        ),
+        (TensorKind::ComponentSteps, step_bytes(&table.steps, code_unit)),
         (TensorKind::DeviationSteps, step_bytes(&shared, code_unit)),
         (TensorKind::Members, members),
         (TensorKind::Intervals, intervals),
@@ -139,18 +121,10 @@ fn clip_codes(codes: &CodeTable, mixtures: &MixtureSet, code_unit: f64) -> Quant
 }
 
 fn diagonal_mixture(mixtures: &MixtureSet, code_unit: f64) -> QuantizedSampler {
-    let components = || {
-        mixtures
-            .intervals
-            .iter()
-            .flat_map(|interval| &interval.mixture.components)
-    };
-    let means: Vec<Vec<f64>> = components()
-        .map(|component| component.mean.clone())
-        .collect();
-    let deviations: Vec<Vec<f64>> = components()
-        .map(|component| component.factor.deviations())
-        .collect();
+    let components = || mixtures.intervals.iter().flat_map(|interval| &interval.mixture.components);
+    let means: Vec<Vec<f64>> = components().map(|component| component.mean.clone()).collect();
+    let deviations: Vec<Vec<f64>> =
+        components().map(|component| component.factor.deviations()).collect();
     let (mean_table, deviation_table) = (byte_table(&means, 127.0), byte_table(&deviations, 255.0));
     let (mut members, mut intervals) = (Vec::new(), Vec::new());
     for interval in &mixtures.intervals {
@@ -158,18 +132,10 @@ fn diagonal_mixture(mixtures: &MixtureSet, code_unit: f64) -> QuantizedSampler {
         let mut cumulative = 0.0;
         for (position, component) in interval.mixture.components.iter().enumerate() {
             cumulative += component.weight;
-            let weight = (cumulative * f64::from(u16::MAX))
-                .round()
-                .min(f64::from(u16::MAX));
+            let weight = (cumulative * f64::from(u16::MAX)).round().min(f64::from(u16::MAX));
             push_u16s(&mut members, [first + position, weight as usize]);
         }
-        push_interval(
-            &mut intervals,
-            interval,
-            1.0,
-            first,
-            interval.mixture.components.len(),
-        );
+        push_interval(&mut intervals, interval, 1.0, first, interval.mixture.components.len());
     }
     let shape = SamplerShape {
         kind: SamplerKind::DiagonalMixture,
@@ -180,15 +146,9 @@ fn diagonal_mixture(mixtures: &MixtureSet, code_unit: f64) -> QuantizedSampler {
     };
     let tensors = vec![
         (TensorKind::Components, mean_table.bytes),
-        (
-            TensorKind::ComponentSteps,
-            step_bytes(&mean_table.steps, code_unit),
-        ),
+        (TensorKind::ComponentSteps, step_bytes(&mean_table.steps, code_unit)),
         (TensorKind::Deviations, deviation_table.bytes),
-        (
-            TensorKind::DeviationSteps,
-            step_bytes(&deviation_table.steps, code_unit),
-        ),
+        (TensorKind::DeviationSteps, step_bytes(&deviation_table.steps, code_unit)),
         (TensorKind::Members, members),
         (TensorKind::Intervals, intervals),
     ];
@@ -224,19 +184,13 @@ fn mean_variance(variances: &[Vec<f64>], rows: &[usize]) -> Vec<f64> {
 
 /// How much wider than the shared noise an interval's clips are, root mean square over the dimensions.
 fn spread(variances: &[f64], shared: &[f64]) -> f64 {
-    let ratios = variances
-        .iter()
-        .zip(shared)
-        .map(|(variance, sigma)| variance / (sigma * sigma).max(1e-12));
+    let ratios =
+        variances.iter().zip(shared).map(|(variance, sigma)| variance / (sigma * sigma).max(1e-12));
     (ratios.sum::<f64>() / shared.len().max(1) as f64).sqrt()
 }
 
 fn push_u16s(bytes: &mut Vec<u8>, values: [usize; 2]) {
-    bytes.extend(
-        values
-            .iter()
-            .flat_map(|&value| (value as u16).to_le_bytes()),
-    );
+    bytes.extend(values.iter().flat_map(|&value| (value as u16).to_le_bytes()));
 }
 
 fn push_interval(

@@ -18,7 +18,7 @@ use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
 use faer::{Accum, Mat, MatMut, MatRef, Par};
 use rand::Rng;
 
-use crate::k_means::{Points, cluster};
+use crate::mixture::k_means::{Points, cluster};
 use crate::mixture::{Component, Covariance, Factor, Mixture, log_normal, log_sum_exp};
 
 /// Most rounds. Source: scikit-learn.
@@ -70,9 +70,7 @@ pub fn fit_mixture<R: Rng + ?Sized>(points: &Points, shape: Shape, rng: &mut R) 
     let mut log_likelihoods: Vec<f64> = Vec::new();
     loop {
         let reached = expect(points, &gaussians, &mut shares);
-        let gain = log_likelihoods
-            .last()
-            .map_or(f64::MAX, |last| reached - last);
+        let gain = log_likelihoods.last().map_or(f64::MAX, |last| reached - last);
         log_likelihoods.push(reached);
         if !reached.is_finite() {
             return None;
@@ -96,12 +94,7 @@ pub fn fit_mixture<R: Rng + ?Sized>(points: &Points, shape: Shape, rng: &mut R) 
 fn shares_of_groups(groups: &[usize], group_count: usize) -> Vec<Vec<f64>> {
     (0..group_count)
         .filter(|index| groups.contains(index))
-        .map(|index| {
-            groups
-                .iter()
-                .map(|&group| f64::from(group == index))
-                .collect()
-        })
+        .map(|index| groups.iter().map(|&group| f64::from(group == index)).collect())
         .collect()
 }
 
@@ -124,10 +117,7 @@ fn expect(points: &Points, gaussians: &[Gaussian], shares: &mut [Vec<f64>]) -> f
 
 /// The likeliest Gaussians for given shares, with the variance floor added.
 fn maximize(points: &Points, shares: &[Vec<f64>], shape: Shape) -> Option<Vec<Gaussian>> {
-    shares
-        .iter()
-        .map(|shares| Gaussian::fit(points, shares, shape))
-        .collect()
+    shares.iter().map(|shares| Gaussian::fit(points, shares, shape)).collect()
 }
 
 /// A component in the form that the rounds work on.
@@ -147,12 +137,7 @@ enum Spread {
 impl Gaussian {
     fn fit(points: &Points, shares: &[f64], shape: Shape) -> Option<Self> {
         // A share that rounding would swallow is none: most components have none in most points.
-        let members = || {
-            points
-                .iter()
-                .zip(shares)
-                .filter(|&(_, &share)| share > f64::EPSILON)
-        };
+        let members = || points.iter().zip(shares).filter(|&(_, &share)| share > f64::EPSILON);
         let total: f64 = members().map(|(_, share)| share).sum();
         if total <= f64::EPSILON {
             return None;
@@ -167,12 +152,7 @@ impl Gaussian {
         let mut deviations = Vec::new();
         for (point, share) in members() {
             let root = (share / total).sqrt();
-            deviations.extend(
-                point
-                    .iter()
-                    .zip(&mean)
-                    .map(|(value, mean)| root * (value - mean)),
-            );
+            deviations.extend(point.iter().zip(&mean).map(|(value, mean)| root * (value - mean)));
         }
         let spread = match shape.covariance {
             Covariance::Full => Spread::Full(full_factor(&deviations, mean.len(), shape)?),
@@ -180,11 +160,7 @@ impl Gaussian {
                 Spread::Diagonal(standard_deviations(&deviations, mean.len(), shape))
             }
         };
-        Some(Self {
-            weight: total / points.count() as f64,
-            mean,
-            spread,
-        })
+        Some(Self { weight: total / points.count() as f64, mean, spread })
     }
 
     /// Writes ln(weight · density) of every point.
@@ -210,12 +186,7 @@ impl Gaussian {
         let dimension_count = self.mean.len();
         whitened.clear();
         for point in block.chunks_exact(dimension_count) {
-            whitened.extend(
-                point
-                    .iter()
-                    .zip(&self.mean)
-                    .map(|(value, mean)| value - mean),
-            );
+            whitened.extend(point.iter().zip(&self.mean).map(|(value, mean)| value - mean));
         }
         match &self.spread {
             Spread::Full(factor) => {
@@ -242,11 +213,7 @@ impl Gaussian {
             }
             Spread::Diagonal(deviations) => Factor::Diagonal(deviations),
         };
-        Component {
-            weight: self.weight,
-            mean: self.mean,
-            factor,
-        }
+        Component { weight: self.weight, mean: self.mean, factor }
     }
 }
 
@@ -303,11 +270,7 @@ mod tests {
     const FLOOR: f64 = 1e-9;
 
     fn shape(component_count: usize, covariance: Covariance) -> Shape {
-        Shape {
-            component_count,
-            covariance,
-            variance_floor: FLOOR,
-        }
+        Shape { component_count, covariance, variance_floor: FLOOR }
     }
 
     fn rng(seed: u64) -> ChaCha8Rng {
@@ -315,11 +278,7 @@ mod tests {
     }
 
     fn full(weight: f64, mean: [f64; 2], lower: [f64; 3]) -> Component {
-        Component {
-            weight,
-            mean: mean.to_vec(),
-            factor: Factor::Full(lower.to_vec()),
-        }
+        Component { weight, mean: mean.to_vec(), factor: Factor::Full(lower.to_vec()) }
     }
 
     /// Two tilted ellipses that overlap a little.
@@ -347,38 +306,25 @@ mod tests {
     fn assert_near(actual: &[f64], expected: &[f64], tolerance: f64) {
         assert_eq!(actual.len(), expected.len());
         for (actual, expected) in actual.iter().zip(expected) {
-            assert!(
-                (actual - expected).abs() < tolerance,
-                "{actual} is not {expected}"
-            );
+            assert!((actual - expected).abs() < tolerance, "{actual} is not {expected}");
         }
     }
 
     #[test]
     fn one_point_makes_a_gaussian_as_narrow_as_the_floor() {
-        let points = Points {
-            dimension_count: 2,
-            values: &[4.0, -5.0],
-        };
+        let points = Points { dimension_count: 2, values: &[4.0, -5.0] };
         let fit = fit_mixture(&points, shape(3, Covariance::Full), &mut rng(1)).unwrap();
         assert_eq!(fit.mixture.components.len(), 1);
         assert_eq!(fit.mixture.components[0].mean, [4.0, -5.0]);
         let deviation = FLOOR.sqrt();
-        assert_near(
-            factor(&fit.mixture.components[0]),
-            &[deviation, 0.0, deviation],
-            1e-15,
-        );
+        assert_near(factor(&fit.mixture.components[0]), &[deviation, 0.0, deviation], 1e-15);
     }
 
     #[test]
     fn fewer_points_than_dimensions_still_make_a_full_covariance() {
         let mut rng = rng(2);
         let values: Vec<f64> = (0..5 * 64).map(|_| rng.random()).collect();
-        let points = Points {
-            dimension_count: 64,
-            values: &values,
-        };
+        let points = Points { dimension_count: 64, values: &values };
         let fit = fit_mixture(&points, shape(2, Covariance::Full), &mut rng).unwrap();
         assert!(fit.log_likelihood_mean().is_finite());
         let numbers = fit.mixture.components.iter().flat_map(factor);
@@ -391,18 +337,12 @@ mod tests {
         let values: Vec<f64> = (0..100)
             .flat_map(|i| [1e5 * f64::from(i % 2) + rng.random::<f64>(), rng.random()])
             .collect();
-        let points = Points {
-            dimension_count: 2,
-            values: &values,
-        };
+        let points = Points { dimension_count: 2, values: &values };
         for covariance in [Covariance::Full, Covariance::Diagonal] {
             let fit = fit_mixture(&points, shape(2, covariance), &mut rng).unwrap();
             let near_first = &fit.mixture.components[0];
             let far_mean = &fit.mixture.components[1].mean;
-            let alone = Mixture {
-                dimension_count: 2,
-                components: vec![near_first.clone()],
-            };
+            let alone = Mixture { dimension_count: 2, components: vec![near_first.clone()] };
             assert!(alone.log_density(far_mean) < -1e6);
             assert!(alone.log_density(far_mean).is_finite());
             assert!(fit.log_likelihoods.iter().all(|value| value.is_finite()));
@@ -413,10 +353,7 @@ mod tests {
     #[test]
     fn likelihood_never_falls() {
         let values = draw(&known_mixture(), 600, 4);
-        let points = Points {
-            dimension_count: 2,
-            values: &values,
-        };
+        let points = Points { dimension_count: 2, values: &values };
         for covariance in [Covariance::Full, Covariance::Diagonal] {
             for seed in 0..8 {
                 let fit = fit_mixture(&points, shape(4, covariance), &mut rng(seed)).unwrap();
@@ -429,16 +366,10 @@ mod tests {
     #[test]
     fn likelihood_is_the_mean_log_density_of_the_points() {
         let values = draw(&known_mixture(), 600, 5);
-        let points = Points {
-            dimension_count: 2,
-            values: &values,
-        };
+        let points = Points { dimension_count: 2, values: &values };
         for covariance in [Covariance::Full, Covariance::Diagonal] {
             let fit = fit_mixture(&points, shape(3, covariance), &mut rng(5)).unwrap();
-            let total: f64 = points
-                .iter()
-                .map(|point| fit.mixture.log_density(point))
-                .sum();
+            let total: f64 = points.iter().map(|point| fit.mixture.log_density(point)).sum();
             assert_near(&[fit.log_likelihood_mean()], &[total / 600.0], 1e-10);
         }
     }
@@ -447,14 +378,9 @@ mod tests {
     fn known_mixture_is_recovered_from_its_draws() {
         let known = known_mixture();
         let values = draw(&known, 20_000, 6);
-        let points = Points {
-            dimension_count: 2,
-            values: &values,
-        };
+        let points = Points { dimension_count: 2, values: &values };
         let mut fit = fit_mixture(&points, shape(2, Covariance::Full), &mut rng(6)).unwrap();
-        fit.mixture
-            .components
-            .sort_by(|a, b| a.weight.total_cmp(&b.weight));
+        fit.mixture.components.sort_by(|a, b| a.weight.total_cmp(&b.weight));
         for (found, known) in fit.mixture.components.iter().zip(&known.components) {
             assert_near(&[found.weight], &[known.weight], 0.01);
             assert_near(&found.mean, &known.mean, 0.05);
@@ -465,18 +391,12 @@ mod tests {
     #[test]
     fn diagonal_fit_finds_the_deviations_and_full_fit_is_likelier_on_tilted_data() {
         let values = draw(&known_mixture(), 20_000, 7);
-        let points = Points {
-            dimension_count: 2,
-            values: &values,
-        };
+        let points = Points { dimension_count: 2, values: &values };
         let full = fit_mixture(&points, shape(2, Covariance::Full), &mut rng(7)).unwrap();
         let mut diagonal =
             fit_mixture(&points, shape(2, Covariance::Diagonal), &mut rng(7)).unwrap();
         assert!(full.log_likelihood_mean() > diagonal.log_likelihood_mean() + 0.1);
-        diagonal
-            .mixture
-            .components
-            .sort_by(|a, b| a.weight.total_cmp(&b.weight));
+        diagonal.mixture.components.sort_by(|a, b| a.weight.total_cmp(&b.weight));
         // Standard deviations along the axes: the norms of the factors' rows.
         let expected = [[1.0, 0.36f64 + 0.25], [0.5, 0.64f64 + 1.44]];
         for (found, expected) in diagonal.mixture.components.iter().zip(expected) {
@@ -488,27 +408,13 @@ mod tests {
     fn points_scaled_by_a_power_of_two_make_the_same_mixture_scaled() {
         let values = draw(&known_mixture(), 500, 8);
         let scaled: Vec<f64> = values.iter().map(|value| value * 1024.0).collect();
-        let points = Points {
-            dimension_count: 2,
-            values: &values,
-        };
-        let scaled = Points {
-            dimension_count: 2,
-            values: &scaled,
-        };
+        let points = Points { dimension_count: 2, values: &values };
+        let scaled = Points { dimension_count: 2, values: &scaled };
         let small = shape(3, Covariance::Full);
-        let large = Shape {
-            variance_floor: FLOOR * 1024.0 * 1024.0,
-            ..small
-        };
+        let large = Shape { variance_floor: FLOOR * 1024.0 * 1024.0, ..small };
         let small = fit_mixture(&points, small, &mut rng(8)).unwrap();
         let large = fit_mixture(&scaled, large, &mut rng(8)).unwrap();
-        for (small, large) in small
-            .mixture
-            .components
-            .iter()
-            .zip(&large.mixture.components)
-        {
+        for (small, large) in small.mixture.components.iter().zip(&large.mixture.components) {
             assert_near(&[large.weight], &[small.weight], 1e-9);
             let shrunk: Vec<f64> = factor(large).iter().map(|value| value / 1024.0).collect();
             assert_near(&shrunk, factor(small), 1e-9);

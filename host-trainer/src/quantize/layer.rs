@@ -8,8 +8,8 @@
 
 use karakuri::Requantizer;
 
-use crate::calibrate::Observed;
 use crate::float_model::DenseLayer;
+use crate::quantize::calibrate::Observed;
 
 /// How a layer's stored inputs map to real values: `real = scale · (stored − zero_point)`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -38,18 +38,12 @@ pub struct IntegerLayer {
 /// Quantises every row; `input_mean` (may be empty) corrects the bias for the rounding of the weights.
 pub fn quantize_layer(layer: &DenseLayer, input: InputScale, input_mean: &[f32]) -> IntegerLayer {
     let mut result = IntegerLayer::default();
-    for (weights, &bias) in layer
-        .weights
-        .chunks_exact(layer.input_count)
-        .zip(&layer.bias)
-    {
+    for (weights, &bias) in layer.weights.chunks_exact(layer.input_count).zip(&layer.bias) {
         let row = quantize_row(weights, f64::from(bias), input, input_mean);
         result.weights.extend(row.weights);
         result.bias.push(row.bias);
         result.accumulator_scales.push(row.scale * input.scale);
-        result
-            .accumulator_use
-            .push(row.accumulator_max as f64 / 2f64.powi(31));
+        result.accumulator_use.push(row.accumulator_max as f64 / 2f64.powi(31));
     }
     result
 }
@@ -63,9 +57,8 @@ struct Row {
 
 /// The finest scale at which the certificate Σ|w|·max|q| + |bias| < 2^31 holds.
 fn quantize_row(weights: &[f32], bias: f64, input: InputScale, input_mean: &[f32]) -> Row {
-    let largest = weights.iter().fold(0.0f64, |largest, &weight| {
-        largest.max(f64::from(weight).abs())
-    });
+    let largest =
+        weights.iter().fold(0.0f64, |largest, &weight| largest.max(f64::from(weight).abs()));
     // An all-zero row still needs a scale at which its bias fits.
     let mut scale = (largest / 127.0)
         .max(bias.abs() / (input.scale * 2f64.powi(30)))
@@ -102,12 +95,7 @@ fn quantize_row_at(
     let bias = real_bias as i64 - i64::from(input.zero_point) * sum;
     let accumulator_max = magnitude * input.magnitude_max + bias.abs();
     let fits = real_bias.abs() < 2f64.powi(31) && accumulator_max <= i64::from(i32::MAX);
-    fits.then(|| Row {
-        weights: stored,
-        bias: bias as i32,
-        scale,
-        accumulator_max,
-    })
+    fits.then_some(Row { weights: stored, bias: bias as i32, scale, accumulator_max })
 }
 
 /// The stored form of a real factor: the nearest multiplier and shift.
@@ -144,36 +132,17 @@ pub fn activation_scale(observed: &Observed, range: (i16, i16)) -> InputScale {
     let magnitude_max = i64::from(range.0).abs().max(i64::from(range.1));
     if high - low > 1000.0 {
         let scale = (1.25 * max.max(-min) / high).max(SCALE_MIN);
-        return InputScale {
-            scale,
-            zero_point: 0,
-            magnitude_max,
-        };
+        return InputScale { scale, zero_point: 0, magnitude_max };
     }
     let candidates = (1..=64).map(|step| {
         let scale = ((max * f64::from(step) / 64.0 - min) / (high - low)).max(SCALE_MIN);
         let zero_point = (low - min / scale).round().clamp(low, high) as i16;
-        InputScale {
-            scale,
-            zero_point,
-            magnitude_max,
-        }
+        InputScale { scale, zero_point, magnitude_max }
     });
-    let scored = candidates.map(|candidate| {
-        (
-            rounding_error(&observed.values, candidate, range),
-            candidate,
-        )
-    });
+    let scored =
+        candidates.map(|candidate| (rounding_error(&observed.values, candidate, range), candidate));
     let best = scored.min_by(|a, b| a.0.total_cmp(&b.0));
-    best.map_or(
-        InputScale {
-            scale: 1.0,
-            zero_point: 0,
-            magnitude_max,
-        },
-        |scored| scored.1,
-    )
+    best.map_or(InputScale { scale: 1.0, zero_point: 0, magnitude_max }, |scored| scored.1)
 }
 
 /// Keeps a layer whose activations never move from dividing by zero.
@@ -203,11 +172,7 @@ mod tests {
             weights: vec![0.0; 3],
             bias: vec![-1.25],
         };
-        let input = InputScale {
-            scale: 1e-4,
-            zero_point: 7,
-            magnitude_max: 32_767,
-        };
+        let input = InputScale { scale: 1e-4, zero_point: 7, magnitude_max: 32_767 };
         let quantized = quantize_layer(&layer, input, &[]);
         let real = f64::from(quantized.bias[0]) * quantized.accumulator_scales[0];
         assert!((real + 1.25).abs() < 1e-6, "{real}");
@@ -221,11 +186,7 @@ mod tests {
             weights: vec![1.0; 4096],
             bias: vec![0.0],
         };
-        let input = InputScale {
-            scale: 1.0,
-            zero_point: 0,
-            magnitude_max: 32_768,
-        };
+        let input = InputScale { scale: 1.0, zero_point: 0, magnitude_max: 32_768 };
         let quantized = quantize_layer(&layer, input, &[]);
         assert!(quantized.accumulator_use[0] < 1.0);
         assert!(quantized.weights[0] < 127 && quantized.weights[0] > 0);

@@ -79,10 +79,7 @@ fn build_intervals_of_action(
             action,
             frames_min,
             frames_max,
-            clips: clips[population_first..end]
-                .iter()
-                .map(|clip| clip.row)
-                .collect(),
+            clips: clips[population_first..end].iter().map(|clip| clip.row).collect(),
         });
         first = end;
         frames_min = frames_max + 1;
@@ -101,10 +98,7 @@ fn clips_by_length(description: &DatasetDescription, action: usize) -> Vec<ClipL
         .iter()
         .enumerate()
         .filter(|(_, clip)| clip.action == action)
-        .map(|(row, clip)| ClipLength {
-            row,
-            frame_count: clip.frame_count,
-        })
+        .map(|(row, clip)| ClipLength { row, frame_count: clip.frame_count })
         .collect();
     clips.sort_by_key(|clip| clip.frame_count);
     clips
@@ -126,9 +120,7 @@ fn grow_upward(clips: &[ClipLength], first: usize, frames_min: usize, size: Inte
 /// First clip of the smallest window up to the longest clip that is large enough; at most `first`.
 fn grow_downward(clips: &[ClipLength], first: usize, size: IntervalSize) -> usize {
     let longest = clips[clips.len() - 1].frame_count;
-    let wide_enough = longest
-        .saturating_add(1)
-        .saturating_sub(size.frames_min.max(1));
+    let wide_enough = longest.saturating_add(1).saturating_sub(size.frames_min.max(1));
     let last_unwanted = clips.len().saturating_sub(size.clips_min.max(1));
     let window_min = clips[last_unwanted.min(first)].frame_count.min(wide_enough);
     first.min(clips.partition_point(|clip| clip.frame_count < window_min))
@@ -142,19 +134,14 @@ mod tests {
     use crate::dataset::ClipDescription;
     use crate::layout::PoseLayout;
 
-    const SIZE: IntervalSize = IntervalSize {
-        frames_min: 10,
-        clips_min: 3,
-    };
+    const SIZE: IntervalSize = IntervalSize { frames_min: 10, clips_min: 3 };
 
     fn description(lengths: &[(usize, usize)]) -> DatasetDescription {
         let action_count = lengths.iter().map(|&(action, _)| action + 1).max();
         DatasetDescription {
             layout: PoseLayout::default(),
             rate_hz: 20.0,
-            actions: (0..action_count.unwrap_or(0))
-                .map(|i| format!("a{i}"))
-                .collect(),
+            actions: (0..action_count.unwrap_or(0)).map(|i| format!("a{i}")).collect(),
             clips: lengths
                 .iter()
                 .enumerate()
@@ -189,12 +176,7 @@ mod tests {
 
     #[test]
     fn one_clip_makes_one_interval_of_its_own_length() {
-        let expected = Interval {
-            action: 0,
-            frames_min: 30,
-            frames_max: 30,
-            clips: vec![0],
-        };
+        let expected = Interval { action: 0, frames_min: 30, frames_max: 30, clips: vec![0] };
         assert_eq!(intervals_of_lengths(&[30]), [expected]);
     }
 
@@ -209,10 +191,8 @@ mod tests {
     #[test]
     fn window_grows_until_it_is_wide_and_populated_enough() {
         let intervals = intervals_of_lengths(&[10, 11, 12, 13, 40, 41, 60]);
-        let ranges: Vec<_> = intervals
-            .iter()
-            .map(|interval| (interval.frames_min, interval.frames_max))
-            .collect();
+        let ranges: Vec<_> =
+            intervals.iter().map(|interval| (interval.frames_min, interval.frames_max)).collect();
         assert_eq!(ranges, [(10, 19), (20, 60)]);
         assert_eq!(intervals[1].clips, [4, 5, 6]);
     }

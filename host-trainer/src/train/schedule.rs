@@ -32,14 +32,8 @@ mod tests {
 
     #[test]
     fn minutes_count_when_they_are_given_and_steps_otherwise() {
-        let timed = BudgetConfig {
-            steps: 100,
-            minutes: 2.0,
-        };
-        let counted = BudgetConfig {
-            steps: 100,
-            minutes: 0.0,
-        };
+        let timed = BudgetConfig { steps: 100, minutes: 2.0 };
+        let counted = BudgetConfig { steps: 100, minutes: 0.0 };
         assert_eq!(progress(&timed, 99, 30.0), 0.25);
         assert_eq!(progress(&timed, 0, 500.0), 1.0);
         assert_eq!(progress(&counted, 25, 1e9), 0.25);

@@ -23,10 +23,10 @@
 
 use rand_chacha::ChaCha8Rng;
 
-use crate::expectation_maximization::{Fit, Shape, fit_mixture};
-use crate::k_means::{Points, square_distance};
+use crate::mixture::expectation_maximization::{Fit, Shape, fit_mixture};
+use crate::mixture::k_means::{Points, square_distance};
+use crate::mixture::set::{Fallback, FitReport};
 use crate::mixture::{Covariance, Mixture, MixtureConfig};
-use crate::mixture_set::{Fallback, FitReport};
 
 /// Fits the most components of which none has collapsed; see the head of this file.
 ///
@@ -81,11 +81,8 @@ fn fit_single_gaussian(
 }
 
 fn report_fit(fit: Fit, attempt_count: usize, fallback: Option<Fallback>) -> (Mixture, FitReport) {
-    let report = FitReport {
-        attempt_count,
-        fallback,
-        log_likelihood_mean: fit.log_likelihood_mean(),
-    };
+    let report =
+        FitReport { attempt_count, fallback, log_likelihood_mean: fit.log_likelihood_mean() };
     (fit.mixture, report)
 }
 
@@ -106,9 +103,7 @@ fn likeliest_sound_fit(
 fn has_collapsed(points: &Points, mixture: &Mixture, radius: f64) -> bool {
     let square_radius = radius * radius;
     mixture.components.iter().any(|component| {
-        points
-            .iter()
-            .any(|point| square_distance(point, &component.mean) < square_radius)
+        points.iter().any(|point| square_distance(point, &component.mean) < square_radius)
     })
 }
 
@@ -131,10 +126,7 @@ fn variance_floor(points: &Points, regularization: f64) -> f64 {
             *sum += value / count;
         }
     }
-    let total: f64 = points
-        .iter()
-        .map(|point| square_distance(point, &mean))
-        .sum();
+    let total: f64 = points.iter().map(|point| square_distance(point, &mean)).sum();
     let square_total: f64 = points.iter().map(square_norm).sum();
     let number_count = count * points.dimension_count as f64;
     regularization * (total + f64::EPSILON * square_total) / number_count + f64::MIN_POSITIVE
@@ -184,10 +176,7 @@ mod tests {
         clip_count: usize,
         config: &MixtureConfig,
     ) -> (Mixture, FitReport) {
-        let points = Points {
-            dimension_count: DIMENSION_COUNT,
-            values,
-        };
+        let points = Points { dimension_count: DIMENSION_COUNT, values };
         let stream = |attempt, start| ChaCha8Rng::seed_from_u64((attempt * 100 + start) as u64);
         let fit = fit_sound_mixture(&points, clip_count, config, stream).unwrap();
         let numbers = |component: &crate::mixture::Component| component.mean.iter().sum::<f64>();
@@ -227,10 +216,7 @@ mod tests {
     fn narrow_codes_share_components_so_that_none_sits_on_a_clip() {
         let values = draws(20, 0.01);
         let (mixture, report) = fit_draws(&values, 20, &config());
-        let points = Points {
-            dimension_count: DIMENSION_COUNT,
-            values: &values,
-        };
+        let points = Points { dimension_count: DIMENSION_COUNT, values: &values };
         assert_eq!(report.fallback, Some(Fallback::FewerComponents));
         assert!((2..15).contains(&mixture.components.len()));
         assert!(report.attempt_count <= 5);
@@ -239,24 +225,15 @@ mod tests {
 
     #[test]
     fn attempts_are_capped() {
-        let capped = MixtureConfig {
-            attempts_max: 1,
-            ..config()
-        };
+        let capped = MixtureConfig { attempts_max: 1, ..config() };
         let (mixture, report) = fit_draws(&draws(20, 0.01), 20, &capped);
         assert_eq!(mixture.components.len(), 1);
-        assert_eq!(
-            (report.attempt_count, report.fallback),
-            (2, Some(Fallback::SingleGaussian))
-        );
+        assert_eq!((report.attempt_count, report.fallback), (2, Some(Fallback::SingleGaussian)));
     }
 
     #[test]
     fn collapse_distance_of_zero_allows_a_component_on_every_clip() {
-        let lenient = MixtureConfig {
-            collapse_distance: 0.0,
-            ..config()
-        };
+        let lenient = MixtureConfig { collapse_distance: 0.0, ..config() };
         let (mixture, report) = fit_draws(&draws(20, 0.01), 20, &lenient);
         assert_eq!(mixture.components.len(), 15);
         assert_eq!(report.fallback, None);

@@ -18,8 +18,10 @@
 
 use faer::{Mat, Side};
 
-use crate::rotation::{Rotation, Vector, add, any_perpendicular, length, scale, subtract, unit};
-use crate::skeleton::Skeleton;
+use crate::body::rotation::{
+    Rotation, Vector, add, any_perpendicular, length, scale, subtract, unit,
+};
+use crate::body::skeleton::Skeleton;
 
 /// Gap between the two largest eigenvalues, relative to their size, under which several child
 /// directions are one.
@@ -100,12 +102,9 @@ impl<'a> InverseKinematics<'a> {
         if let Some(rotation) = align(&bones) {
             return rotation;
         }
-        let longest = bones
-            .iter()
-            .max_by(|a, b| length(a.0).total_cmp(&length(b.0)));
-        longest.map_or(Rotation::IDENTITY, |(rest, bone)| {
-            swing(*rest, *bone, &self.previous[joint])
-        })
+        let longest = bones.iter().max_by(|a, b| length(a.0).total_cmp(&length(b.0)));
+        longest
+            .map_or(Rotation::IDENTITY, |(rest, bone)| swing(*rest, *bone, &self.previous[joint]))
     }
 }
 
@@ -145,10 +144,7 @@ pub fn align(pairs: &[(Vector, Vector)]) -> Option<Rotation> {
         [zx - xz, xy + yx, yy - xx - zz, yz + zy],
         [xy - yx, zx + xz, yz + zy, zz - xx - yy],
     ];
-    let size: f64 = pairs
-        .iter()
-        .map(|(from, to)| length(*from) * length(*to))
-        .sum();
+    let size: f64 = pairs.iter().map(|(from, to)| length(*from) * length(*to)).sum();
     let eigen = Mat::from_fn(4, 4, |row, column| symmetric[row][column])
         .self_adjoint_eigen(Side::Lower)
         .ok()?;
@@ -172,10 +168,7 @@ pub fn measure_offsets(
     let mut offsets = vec![[0.0; 3]; skeleton.joint_count()];
     for (joint, children) in skeleton.children().iter().enumerate() {
         for child in children {
-            let total: f64 = frames
-                .iter()
-                .map(|p| length(subtract(p[*child], p[joint])))
-                .sum();
+            let total: f64 = frames.iter().map(|p| length(subtract(p[*child], p[joint]))).sum();
             let direction = unit(rest[*child]).unwrap_or([0.0, 1.0, 0.0]);
             offsets[*child] = scale(direction, total / frames.len().max(1) as f64);
         }
@@ -214,9 +207,7 @@ fn mean_shape(
     if count == 0.0 {
         return children.iter().map(|child| guess[*child]).collect();
     }
-    sums.into_iter()
-        .map(|sum| scale(sum, 1.0 / count))
-        .collect()
+    sums.into_iter().map(|sum| scale(sum, 1.0 / count)).collect()
 }
 
 /// Distance of every joint between two poses.
@@ -234,11 +225,7 @@ mod tests {
     }
 
     fn rest(skeleton: &Skeleton) -> Vec<Vector> {
-        skeleton
-            .offsets
-            .iter()
-            .map(|offset| offset.map(f64::from))
-            .collect()
+        skeleton.offsets.iter().map(|offset| offset.map(f64::from)).collect()
     }
 
     fn largest_distance(a: &[Vector], b: &[Vector]) -> f64 {
@@ -284,7 +271,7 @@ mod tests {
             rotation in any_rotation(),
             points in prop::collection::vec(prop::array::uniform3(-1.0..1.0f64), 3),
         ) {
-            let normal = crate::rotation::cross(
+            let normal = crate::body::rotation::cross(
                 subtract(points[1], points[0]), subtract(points[2], points[0]));
             prop_assume!(length(normal) > 0.1);
             let pairs: Vec<_> =

@@ -20,14 +20,14 @@ use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
 use sha2::{Digest, Sha256};
 
-use crate::collapse::fit_sound_mixture;
 use crate::dataset::DatasetDescription;
 use crate::error::{Error, Result};
 use crate::float_model::CodeTable;
-use crate::interval::{Interval, IntervalSize, build_intervals};
-use crate::k_means::Points;
 use crate::mixture::MixtureConfig;
-use crate::mixture_set::{IntervalMixture, MixtureSet};
+use crate::mixture::collapse::fit_sound_mixture;
+use crate::mixture::interval::{Interval, IntervalSize, build_intervals};
+use crate::mixture::k_means::Points;
+use crate::mixture::set::{IntervalMixture, MixtureSet};
 
 /// Fits one mixture to every action and interval of lengths; a progress bar goes to stderr.
 ///
@@ -73,17 +73,10 @@ fn fit_interval(
     config: &MixtureConfig,
     seed: u64,
 ) -> Result<IntervalMixture> {
-    let streams = Streams {
-        seed,
-        action: interval.action,
-        frames_min: interval.frames_min,
-    };
+    let streams = Streams { seed, action: interval.action, frames_min: interval.frames_min };
     let mut rng = streams.draws();
     let draws = draw_codes(codes, &interval.clips, config.draws_per_clip, &mut rng);
-    let points = Points {
-        dimension_count: codes.dimension_count,
-        values: &draws,
-    };
+    let points = Points { dimension_count: codes.dimension_count, values: &draws };
     let clip_count = interval.clips.len();
     let stream = |attempt, start| streams.start(attempt, start);
     let (mixture, report) = fit_sound_mixture(&points, clip_count, config, stream)
@@ -137,11 +130,7 @@ impl Streams {
     }
 
     fn stream(&self, purpose: &str, attempt: usize, start: usize) -> ChaCha8Rng {
-        let Self {
-            seed,
-            action,
-            frames_min,
-        } = self;
+        let Self { seed, action, frames_min } = self;
         let name = format!("{seed} {action} {frames_min} {purpose} {attempt} {start}");
         ChaCha8Rng::from_seed(Sha256::digest(name).into())
     }
@@ -162,43 +151,23 @@ fn check_config(config: &MixtureConfig) -> Result<()> {
         }
     }
     if !(config.regularization > 0.0 && config.regularization.is_finite()) {
-        return Err(bad_config(
-            "regularization",
-            config.regularization,
-            "a number above 0",
-        ));
+        return Err(bad_config("regularization", config.regularization, "a number above 0"));
     }
     if !(config.collapse_distance >= 0.0 && config.collapse_distance.is_finite()) {
-        return Err(bad_config(
-            "collapse_distance",
-            config.collapse_distance,
-            "0 or above",
-        ));
+        return Err(bad_config("collapse_distance", config.collapse_distance, "0 or above"));
     }
     Ok(())
 }
 
 fn bad_config(key: &str, value: impl ToString, expected: &str) -> Error {
     let remedy = "change it in the configuration, or delete the line to use the preset's";
-    Error::bad_input(
-        "configuration",
-        format!("mixture.{key}"),
-        value,
-        expected,
-        remedy,
-    )
+    Error::bad_input("configuration", format!("mixture.{key}"), value, expected, remedy)
 }
 
 fn check_codes(codes: &CodeTable, description: &DatasetDescription) -> Result<()> {
     let bad_codes = |field: String, value: String, expected: String| {
         let remedy = "train again, or resume from an earlier checkpoint";
-        Err(Error::bad_input(
-            "sequence codes",
-            field,
-            value,
-            expected,
-            remedy,
-        ))
+        Err(Error::bad_input("sequence codes", field, value, expected, remedy))
     };
     let number_count = description.clips.len() * codes.dimension_count;
     if number_count == 0 {
@@ -208,11 +177,7 @@ fn check_codes(codes: &CodeTable, description: &DatasetDescription) -> Result<()
     for (name, table) in [("mean", &codes.mean), ("log_variance", &codes.log_variance)] {
         if table.len() != number_count {
             let expected = format!("{number_count}, one row a clip");
-            return bad_codes(
-                format!("length of {name}"),
-                table.len().to_string(),
-                expected,
-            );
+            return bad_codes(format!("length of {name}"), table.len().to_string(), expected);
         }
         // A standard deviation beyond f32 would let squares of draws leave f64.
         let is_sound = |value: &f32| match name {
@@ -228,10 +193,8 @@ fn check_codes(codes: &CodeTable, description: &DatasetDescription) -> Result<()
         if clip.action >= description.actions.len() || clip.frame_count == 0 {
             let field = format!("clip `{}`", clip.name);
             let value = format!("{} poses of action {}", clip.frame_count, clip.action);
-            let expected = format!(
-                "1 pose or more of an action below {}",
-                description.actions.len()
-            );
+            let expected =
+                format!("1 pose or more of an action below {}", description.actions.len());
             return bad_codes(field, value, expected);
         }
     }
@@ -240,14 +203,8 @@ fn check_codes(codes: &CodeTable, description: &DatasetDescription) -> Result<()
 
 fn unfittable(description: &DatasetDescription, interval: &Interval) -> Error {
     Error::bad_input(
-        format!(
-            "sequence codes of action `{}`",
-            description.actions[interval.action]
-        ),
-        format!(
-            "clips of {} to {} poses",
-            interval.frames_min, interval.frames_max
-        ),
+        format!("sequence codes of action `{}`", description.actions[interval.action]),
+        format!("clips of {} to {} poses", interval.frames_min, interval.frames_max),
         "spread too wide for any Gaussian",
         "codes near the standard normal",
         "train again with a lower learning rate of the codes",
@@ -305,9 +262,7 @@ mod tests {
         let number_count = clip_count * 4;
         CodeTable {
             dimension_count: 4,
-            mean: (0..number_count)
-                .map(|_| StandardNormal.sample(&mut rng))
-                .collect(),
+            mean: (0..number_count).map(|_| StandardNormal.sample(&mut rng)).collect(),
             log_variance: vec![-2.0; number_count],
         }
     }
@@ -329,10 +284,7 @@ mod tests {
     #[test]
     fn code_table_of_another_dataset_is_rejected() {
         let message = refusal(&codes(9), &description(10), &config());
-        assert!(
-            message.contains("length of mean is 36, expected 40"),
-            "{message}"
-        );
+        assert!(message.contains("length of mean is 36, expected 40"), "{message}");
     }
 
     #[test]
@@ -362,69 +314,15 @@ mod tests {
     #[test]
     fn configuration_out_of_range_is_rejected_with_its_key() {
         let bad = [
-            (
-                "components_max",
-                MixtureConfig {
-                    components_max: 0,
-                    ..config()
-                },
-            ),
-            (
-                "draws_per_clip",
-                MixtureConfig {
-                    draws_per_clip: 0,
-                    ..config()
-                },
-            ),
-            (
-                "interval_frames_min",
-                MixtureConfig {
-                    interval_frames_min: 0,
-                    ..config()
-                },
-            ),
-            (
-                "interval_clips_min",
-                MixtureConfig {
-                    interval_clips_min: 0,
-                    ..config()
-                },
-            ),
-            (
-                "attempts_max",
-                MixtureConfig {
-                    attempts_max: 0,
-                    ..config()
-                },
-            ),
-            (
-                "restarts",
-                MixtureConfig {
-                    restarts: 0,
-                    ..config()
-                },
-            ),
-            (
-                "regularization",
-                MixtureConfig {
-                    regularization: 0.0,
-                    ..config()
-                },
-            ),
-            (
-                "regularization",
-                MixtureConfig {
-                    regularization: f64::NAN,
-                    ..config()
-                },
-            ),
-            (
-                "collapse_distance",
-                MixtureConfig {
-                    collapse_distance: -0.1,
-                    ..config()
-                },
-            ),
+            ("components_max", MixtureConfig { components_max: 0, ..config() }),
+            ("draws_per_clip", MixtureConfig { draws_per_clip: 0, ..config() }),
+            ("interval_frames_min", MixtureConfig { interval_frames_min: 0, ..config() }),
+            ("interval_clips_min", MixtureConfig { interval_clips_min: 0, ..config() }),
+            ("attempts_max", MixtureConfig { attempts_max: 0, ..config() }),
+            ("restarts", MixtureConfig { restarts: 0, ..config() }),
+            ("regularization", MixtureConfig { regularization: 0.0, ..config() }),
+            ("regularization", MixtureConfig { regularization: f64::NAN, ..config() }),
+            ("collapse_distance", MixtureConfig { collapse_distance: -0.1, ..config() }),
         ];
         for (key, config) in bad {
             let message = refusal(&codes(10), &description(10), &config);
@@ -446,9 +344,7 @@ mod tests {
         let mixtures = fit(&codes, &description, &config(), 1).unwrap();
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         for clip in &description.clips {
-            let code = mixtures
-                .sample(clip.action, clip.frame_count, &mut rng)
-                .unwrap();
+            let code = mixtures.sample(clip.action, clip.frame_count, &mut rng).unwrap();
             assert!(code.len() == 4 && code.iter().all(|value| value.is_finite()));
         }
         for interval in &mixtures.intervals {
@@ -462,10 +358,7 @@ mod tests {
     fn fit_is_the_same_on_any_number_of_threads_and_differs_by_seed() {
         let (codes, description) = (codes(60), description(60));
         let fit_on = |thread_count, seed| {
-            let pool = rayon::ThreadPoolBuilder::new()
-                .num_threads(thread_count)
-                .build()
-                .unwrap();
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(thread_count).build().unwrap();
             pool.install(|| fit(&codes, &description, &config(), seed).unwrap())
         };
         assert_eq!(fit_on(1, 7), fit_on(3, 7));
@@ -491,32 +384,13 @@ mod tests {
     #[test]
     fn no_two_streams_begin_alike() {
         use rand::Rng;
-        let streams = Streams {
-            seed: 1,
-            action: 2,
-            frames_min: 3,
-        };
+        let streams = Streams { seed: 1, action: 2, frames_min: 3 };
         let others = [
-            Streams {
-                seed: 2,
-                action: 2,
-                frames_min: 3,
-            },
-            Streams {
-                seed: 1,
-                action: 3,
-                frames_min: 2,
-            },
-            Streams {
-                seed: 1,
-                action: 2,
-                frames_min: 4,
-            },
+            Streams { seed: 2, action: 2, frames_min: 3 },
+            Streams { seed: 1, action: 3, frames_min: 2 },
+            Streams { seed: 1, action: 2, frames_min: 4 },
         ];
-        let mut first: Vec<u64> = others
-            .iter()
-            .map(|other| other.draws().next_u64())
-            .collect();
+        let mut first: Vec<u64> = others.iter().map(|other| other.draws().next_u64()).collect();
         first.push(streams.draws().next_u64());
         first.extend((0..30).map(|i| streams.start(i / 10, i % 10).next_u64()));
         let count = first.len();

@@ -81,20 +81,12 @@ impl Adam {
     ) {
         moments.step_count += 1;
         let factors = self.factors(moments.step_count, learning_rate, gradient_scale);
-        for (((layer, gradient), first), second) in layers
-            .iter_mut()
-            .zip(gradient)
-            .zip(&mut moments.first)
-            .zip(&mut moments.second)
+        for (((layer, gradient), first), second) in
+            layers.iter_mut().zip(gradient).zip(&mut moments.first).zip(&mut moments.second)
         {
             let (first_w, second_w) = (&mut first.weights, &mut second.weights);
             factors.step_parallel(&mut layer.weights, &gradient.weights, first_w, second_w);
-            factors.step(
-                &mut layer.bias,
-                &gradient.bias,
-                &mut first.bias,
-                &mut second.bias,
-            );
+            factors.step(&mut layer.bias, &gradient.bias, &mut first.bias, &mut second.bias);
         }
     }
 
@@ -138,17 +130,8 @@ impl Adam {
 
 impl StepFactors {
     fn step(&self, values: &mut [f32], gradient: &[f32], first: &mut [f32], second: &mut [f32]) {
-        let Adam {
-            beta1,
-            beta2,
-            epsilon,
-        } = self.adam;
-        let StepFactors {
-            rate,
-            root_scale,
-            gradient_scale,
-            ..
-        } = *self;
+        let Adam { beta1, beta2, epsilon } = self.adam;
+        let StepFactors { rate, root_scale, gradient_scale, .. } = *self;
         vectorized(|| {
             let moments = first.iter_mut().zip(second);
             for ((value, gradient), (first, second)) in values.iter_mut().zip(gradient).zip(moments)
@@ -185,11 +168,7 @@ impl DecoderMoments {
     /// Before the first step.
     pub fn zeros(layers: &[DenseLayer]) -> Self {
         let zeros = || layers.iter().map(DenseLayer::zeros_like).collect();
-        Self {
-            first: zeros(),
-            second: zeros(),
-            step_count: 0,
-        }
+        Self { first: zeros(), second: zeros(), step_count: 0 }
     }
 }
 
@@ -208,30 +187,19 @@ impl CodeMoments {
 pub fn clip_scale(norm: f64, norm_max: f64) -> f32 {
     /// Keeps the quotient finite; PyTorch's value.
     const NORM_FLOOR: f64 = 1e-6;
-    if norm_max > 0.0 {
-        (norm_max / (norm + NORM_FLOOR)).min(1.0) as f32
-    } else {
-        1.0
-    }
+    if norm_max > 0.0 { (norm_max / (norm + NORM_FLOOR)).min(1.0) as f32 } else { 1.0 }
 }
 
 /// Sum of squares.
 pub fn sum_of_squares(values: &[f32]) -> f64 {
-    values
-        .iter()
-        .map(|value| f64::from(*value) * f64::from(*value))
-        .sum()
+    values.iter().map(|value| f64::from(*value) * f64::from(*value)).sum()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    const ADAM: Adam = Adam {
-        beta1: 0.9,
-        beta2: 0.999,
-        epsilon: 1e-8,
-    };
+    const ADAM: Adam = Adam { beta1: 0.9, beta2: 0.999, epsilon: 1e-8 };
 
     #[test]
     fn clip_scale_shortens_long_gradients_only_and_only_when_on() {

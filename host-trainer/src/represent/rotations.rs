@@ -6,14 +6,14 @@
 use rayon::prelude::*;
 
 use crate::body::Body;
+use crate::body::infer_skeleton::infer_skeleton;
+use crate::body::kinematics::{InverseKinematics, joint_distances, measure_offsets};
+use crate::body::rotation::{Vector, add, length, scale, subtract};
+use crate::body::skeleton::Skeleton;
 use crate::clip::ClipSet;
 use crate::error::Result;
-use crate::infer_skeleton::infer_skeleton;
-use crate::kinematics::{InverseKinematics, joint_distances, measure_offsets};
 use crate::layout::{GroupKind, Unit};
 use crate::represent::{body_layout, joint_names, source_of};
-use crate::rotation::{Vector, add, length, scale, subtract};
-use crate::skeleton::Skeleton;
 
 /// A bone counts as constant while its length varies by less than this part of its mean.
 const LENGTH_VARIATION_MAX: f64 = 1e-3;
@@ -30,17 +30,13 @@ pub(crate) fn rotations(
         None => {
             let names = joint_names(&clip_set);
             let skeleton = infer_skeleton(source_of(&clip_set), names, &joints)?;
-            clip_set
-                .remarks
-                .push(format!("skeleton inferred: {}", tree_text(&skeleton)));
+            clip_set.remarks.push(format!("skeleton inferred: {}", tree_text(&skeleton)));
             skeleton
         }
     };
     let rest = rest_offsets(&skeleton, &joints);
-    let solved: Vec<(Vec<Vector>, Vec<f32>)> = joints
-        .par_iter()
-        .map(|frames| solve_clip(&skeleton, &rest, frames))
-        .collect();
+    let solved: Vec<(Vec<Vector>, Vec<f32>)> =
+        joints.par_iter().map(|frames| solve_clip(&skeleton, &rest, frames)).collect();
     let (bones, poses): (Vec<Vec<Vector>>, Vec<Vec<f32>>) = solved.into_iter().unzip();
     skeleton.offsets = mean_offsets(&bones);
     clip_set.skeleton = Some(skeleton.clone());
@@ -65,11 +61,8 @@ fn tree_text(skeleton: &Skeleton) -> String {
 /// The skeleton's rest directions; where it has none, those of the first pose of the first clip. //
 /// (joint)
 fn rest_offsets(skeleton: &Skeleton, joints: &[Vec<Vec<Vector>>]) -> Vec<Vector> {
-    let mut rest: Vec<Vector> = skeleton
-        .offsets
-        .iter()
-        .map(|offset| offset.map(f64::from))
-        .collect();
+    let mut rest: Vec<Vector> =
+        skeleton.offsets.iter().map(|offset| offset.map(f64::from)).collect();
     if let Some(pose) = joints.iter().flatten().next() {
         for (parent, child) in skeleton.bones() {
             if length(rest[child]) == 0.0 {
@@ -102,9 +95,7 @@ fn mean_offsets(bones: &[Vec<Vector>]) -> Vec<[f32; 3]> {
     let joint_count = bones.first().map_or(0, Vec::len);
     (0..joint_count)
         .map(|joint| {
-            let sum = bones
-                .iter()
-                .fold([0.0; 3], |sum, clip| add(sum, clip[joint]));
+            let sum = bones.iter().fold([0.0; 3], |sum, clip| add(sum, clip[joint]));
             scale(sum, 1.0 / bones.len() as f64).map(|element| element as f32)
         })
         .collect()
@@ -120,17 +111,11 @@ struct Distance {
 
 impl Distance {
     fn of(distances: impl Iterator<Item = f64>) -> Self {
-        distances.fold(Self::default(), |sum, distance| {
-            sum.with(distance, distance, 1)
-        })
+        distances.fold(Self::default(), |sum, distance| sum.with(distance, distance, 1))
     }
 
     fn with(self, total: f64, max: f64, count: usize) -> Self {
-        Self {
-            total: self.total + total,
-            count: self.count + count,
-            max: self.max.max(max),
-        }
+        Self { total: self.total + total, count: self.count + count, max: self.max.max(max) }
     }
 
     fn mean(&self) -> f64 {
@@ -152,9 +137,7 @@ fn rotation_remark(
     let distance_on = |own: Option<&[Vec<Vector>]>| -> Distance {
         let of_clip = |index: usize| {
             let offsets = own.map_or(&mean_bones, |own| &own[index]);
-            let poses = clip_set.clips[index]
-                .poses
-                .chunks_exact(layout.channel_count());
+            let poses = clip_set.clips[index].poses.chunks_exact(layout.channel_count());
             Distance::of(poses.zip(&joints[index]).flat_map(|(pose, original)| {
                 let found = body.joint_positions_on(offsets, pose).unwrap_or_default();
                 joint_distances(&found, original).collect::<Vec<f64>>()
@@ -165,10 +148,7 @@ fn rotation_remark(
             .map(of_clip)
             .reduce(Distance::default, |a, b| a.with(b.total, b.max, b.count))
     };
-    let constant = joints
-        .iter()
-        .filter(|frames| has_constant_bones(skeleton, frames))
-        .count();
+    let constant = joints.iter().filter(|frames| has_constant_bones(skeleton, frames)).count();
     let (own, mean) = (distance_on(Some(bones)), distance_on(None));
     let unit = match layout.groups.first()?.unit {
         Unit::One => "units",

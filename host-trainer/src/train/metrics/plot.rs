@@ -35,10 +35,7 @@ fn draw(
     root.fill(&WHITE)?;
     let panels = root.split_evenly((2, 1));
     let curve = |value: fn(&MetricLine) -> f64| {
-        lines
-            .iter()
-            .map(|line| (line.step as f64, value(line)))
-            .collect()
+        lines.iter().map(|line| (line.step as f64, value(line))).collect()
     };
     let losses = [
         ("loss", curve(|line| line.loss)),
@@ -46,28 +43,14 @@ fn draw(
         ("divergence (KL)", curve(|line| line.divergence)),
     ];
     draw_panel(&panels[0], "loss", &losses)?;
-    let names = lines
-        .first()
-        .map(|line| line.error_rms.keys())
-        .into_iter()
-        .flatten();
+    let names = lines.first().map(|line| line.error_rms.keys()).into_iter().flatten();
     let errors: Vec<Curve<'_>> = names
         .map(|name| {
             let value = |line: &MetricLine| line.error_rms.get(name).copied().unwrap_or(f64::NAN);
-            (
-                name.as_str(),
-                lines
-                    .iter()
-                    .map(|line| (line.step as f64, value(line)))
-                    .collect(),
-            )
+            (name.as_str(), lines.iter().map(|line| (line.step as f64, value(line))).collect())
         })
         .collect();
-    draw_panel(
-        &panels[1],
-        "error, root of mean square per channel",
-        &errors,
-    )?;
+    draw_panel(&panels[1], "error, root of mean square per channel", &errors)?;
     root.present()?;
     Ok(())
 }
@@ -79,12 +62,7 @@ fn draw_panel(
 ) -> core::result::Result<(), Box<dyn core::error::Error>> {
     const FONT: (&str, u32) = ("sans-serif", 16);
     let is_drawable = |point: &&(f64, f64)| point.1.is_finite() && point.1 > 0.0;
-    let points = || {
-        curves
-            .iter()
-            .flat_map(|(_, points)| points)
-            .filter(is_drawable)
-    };
+    let points = || curves.iter().flat_map(|(_, points)| points).filter(is_drawable);
     let step_max = points().map(|point| point.0).fold(1.0, f64::max);
     let value_min = points().map(|point| point.1).fold(f64::INFINITY, f64::min);
     let value_max = points().map(|point| point.1).fold(0.0, f64::max);
@@ -96,10 +74,7 @@ fn draw_panel(
         .margin(10)
         .x_label_area_size(30)
         .y_label_area_size(70)
-        .build_cartesian_2d(
-            0.0..step_max,
-            (0.9 * value_min..1.1 * value_max).log_scale(),
-        )?;
+        .build_cartesian_2d(0.0..step_max, (0.9 * value_min..1.1 * value_max).log_scale())?;
     chart
         .configure_mesh()
         .x_desc("step")
@@ -113,10 +88,6 @@ fn draw_panel(
             .label(*name)
             .legend(move |(x, y)| PathElement::new([(x, y), (x + 20, y)], color));
     }
-    chart
-        .configure_series_labels()
-        .background_style(WHITE)
-        .border_style(BLACK)
-        .draw()?;
+    chart.configure_series_labels().background_style(WHITE).border_style(BLACK).draw()?;
     Ok(())
 }

@@ -11,9 +11,9 @@
 
 use std::path::Path;
 
+use crate::body::rotation::{Vector, length, subtract};
+use crate::body::skeleton::Skeleton;
 use crate::error::{Error, Result};
-use crate::rotation::{Vector, length, subtract};
-use crate::skeleton::Skeleton;
 
 /// How many times its length a pair costs more for each part of relative variation: 1 % of
 /// variation adds one half.
@@ -32,11 +32,8 @@ pub fn infer_skeleton(
     let costs: Vec<Vec<f64>> = (0..joint_count)
         .map(|a| (0..joint_count).map(|b| pair_cost(joints, a, b)).collect())
         .collect();
-    let skeleton = Skeleton {
-        offsets: vec![[0.0; 3]; joint_count],
-        parents: spanning_tree(&costs),
-        names,
-    };
+    let skeleton =
+        Skeleton { offsets: vec![[0.0; 3]; joint_count], parents: spanning_tree(&costs), names };
     skeleton.check(source).map_err(|error| {
         Error::bad_input(
             source,
@@ -55,9 +52,7 @@ fn pair_cost(joints: &[Vec<Vec<Vector>>], a: usize, b: usize) -> f64 {
     for frames in joints.iter().filter(|frames| !frames.is_empty()) {
         let distances = || frames.iter().map(|p| length(subtract(p[a], p[b])));
         let mean = distances().sum::<f64>() / frames.len() as f64;
-        squares += distances()
-            .map(|distance| (distance - mean).powi(2))
-            .sum::<f64>();
+        squares += distances().map(|distance| (distance - mean).powi(2)).sum::<f64>();
         total += mean * frames.len() as f64;
         frame_count += frames.len() as f64;
     }
@@ -86,8 +81,8 @@ fn spanning_tree(costs: &[Vec<f64>]) -> Vec<Option<usize>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::kinematics::forward;
-    use crate::rotation::Rotation;
+    use crate::body::kinematics::forward;
+    use crate::body::rotation::Rotation;
 
     /// Poses of the arm and trunk of a body that bends at every joint, joints listed in `order`.
     fn poses(order: &[usize]) -> Vec<Vec<Vec<Vector>>> {
@@ -96,13 +91,8 @@ mod tests {
             parents: vec![None, Some(0), Some(1), Some(1), Some(3)],
             offsets: vec![[0.0; 3]; 5],
         };
-        let offsets = [
-            [0.0; 3],
-            [0.0, 0.5, 0.0],
-            [-0.1, 0.2, 0.0],
-            [0.2, 0.1, 0.0],
-            [0.4, 0.0, 0.0],
-        ];
+        let offsets =
+            [[0.0; 3], [0.0, 0.5, 0.0], [-0.1, 0.2, 0.0], [0.2, 0.1, 0.0], [0.4, 0.0, 0.0]];
         let pose = |frame: usize| -> Vec<Vector> {
             let turn = |joint: usize| ((frame * (joint + 2)) as f64 * 0.7).sin();
             let locals: Vec<Rotation> = (0..5)

@@ -10,9 +10,9 @@ use std::f64::consts::FRAC_PI_2;
 use std::fmt::Write;
 
 use crate::body::Body;
+use crate::body::rotation::{Rotation, Vector};
+use crate::body::skeleton::Skeleton;
 use crate::export::Motion;
-use crate::rotation::{Rotation, Vector};
-use crate::skeleton::Skeleton;
 
 /// Sine of the x angle above which z and y turn about one axis and only their sum is known.
 const GIMBAL_LOCK_SINE: f64 = 1.0 - 1e-12;
@@ -21,30 +21,19 @@ const GIMBAL_LOCK_SINE: f64 = 1.0 - 1e-12;
 pub fn emit(motion: &Motion) -> Option<String> {
     let skeleton = motion.skeleton.as_ref()?;
     let body = Body::new(&motion.layout, Some(skeleton))?;
-    let frames: Vec<(Vector, Vec<Rotation>)> = motion
-        .frames()
-        .map(|pose| body.root_and_rotations(pose))
-        .collect::<Option<_>>()?;
+    let frames: Vec<(Vector, Vec<Rotation>)> =
+        motion.frames().map(|pose| body.root_and_rotations(pose)).collect::<Option<_>>()?;
     let children = skeleton.children();
     let order = depth_first(&children);
     let mut text = String::from("HIERARCHY\n");
     emit_joint(&mut text, skeleton, &children, 0, 0);
     // Writing to a String cannot fail.
-    let _ = write!(
-        text,
-        "MOTION\nFrames: {}\nFrame Time: {:.8}\n",
-        frames.len(),
-        1.0 / motion.rate_hz
-    );
+    let _ =
+        write!(text, "MOTION\nFrames: {}\nFrame Time: {:.8}\n", frames.len(), 1.0 / motion.rate_hz);
     for (root, locals) in frames {
-        let angles = order
-            .iter()
-            .flat_map(|joint| euler_zxy_deg(&locals[*joint]));
-        let cells: Vec<String> = root
-            .into_iter()
-            .chain(angles)
-            .map(|value| format!("{value:.6}"))
-            .collect();
+        let angles = order.iter().flat_map(|joint| euler_zxy_deg(&locals[*joint]));
+        let cells: Vec<String> =
+            root.into_iter().chain(angles).map(|value| format!("{value:.6}")).collect();
         text.push_str(&cells.join(" "));
         text.push('\n');
     }
@@ -87,10 +76,7 @@ fn emit_joint(
     }
     if children[joint].is_empty() {
         let _ = writeln!(text, "{indent}\tEnd Site\n{indent}\t{{");
-        let _ = writeln!(
-            text,
-            "{indent}\t\tOFFSET 0.000000 0.000000 0.000000\n{indent}\t}}"
-        );
+        let _ = writeln!(text, "{indent}\t\tOFFSET 0.000000 0.000000 0.000000\n{indent}\t}}");
     }
     let _ = writeln!(text, "{indent}}}");
 }
@@ -123,19 +109,10 @@ mod tests {
 
     fn motion(kind: GroupKind) -> Motion {
         let skeleton = Skeleton::smpl24();
-        let root = Group {
-            name: "root".into(),
-            kind: GroupKind::Translation,
-            unit: Unit::Metre,
-        };
-        let joints = skeleton.names.iter().map(|name| Group {
-            name: name.clone(),
-            kind,
-            unit: Unit::One,
-        });
-        let layout = PoseLayout {
-            groups: std::iter::once(root).chain(joints).collect(),
-        };
+        let root = Group { name: "root".into(), kind: GroupKind::Translation, unit: Unit::Metre };
+        let joints =
+            skeleton.names.iter().map(|name| Group { name: name.clone(), kind, unit: Unit::One });
+        let layout = PoseLayout { groups: std::iter::once(root).chain(joints).collect() };
         Motion {
             poses: vec![0.25; layout.channel_count() * 2],
             layout,
@@ -159,10 +136,8 @@ mod tests {
         assert_eq!(text.matches("CHANNELS").count(), 24);
         assert_eq!(text.matches("End Site").count(), 5);
         assert_eq!(text.matches('{').count(), text.matches('}').count());
-        let rows: Vec<&str> = text
-            .lines()
-            .skip_while(|line| !line.starts_with("Frame T"))
-            .collect();
+        let rows: Vec<&str> =
+            text.lines().skip_while(|line| !line.starts_with("Frame T")).collect();
         assert_eq!(rows[0], "Frame Time: 0.05000000");
         assert_eq!(rows.len(), 3);
         assert_eq!(rows[1].split(' ').count(), 3 + 24 * 3);

@@ -6,10 +6,10 @@
 //! Rotations are drawn as rotation vectors in degrees, which a reader can picture, and not as
 //! matrix elements.
 
+use crate::body::rotation::Rotation;
 use crate::export::Motion;
 use crate::layout::{Group, GroupKind, PoseLayout};
-use crate::rotation::Rotation;
-use crate::svg::{Anchor, FAINT, INK, PALETTE, Point, Svg, TextStyle, ticks};
+use crate::picture::svg::{Anchor, FAINT, INK, PALETTE, Point, Svg, TextStyle, ticks};
 
 const MARGIN: f64 = 28.0;
 const HEADER_HEIGHT: f64 = 64.0;
@@ -43,11 +43,7 @@ pub fn draw(motions: &[Motion], title: &str) -> String {
     let mut svg = Svg::new(width, top + row_count as f64 * PANEL_HEIGHT + MARGIN);
     svg.text((MARGIN, MARGIN + 10.0), &TextStyle::heading(20.0), title);
     let provenance = motions.first().map_or("", |motion| &motion.provenance);
-    svg.text(
-        (MARGIN, MARGIN + 28.0),
-        &TextStyle::plain(Anchor::Start),
-        provenance,
-    );
+    svg.text((MARGIN, MARGIN + 28.0), &TextStyle::plain(Anchor::Start), provenance);
     for (index, motion) in motions.iter().enumerate() {
         let x = MARGIN + (index % legend_columns) as f64 * LEGEND_ENTRY_WIDTH;
         let y = HEADER_HEIGHT + 12.0 + (index / legend_columns) as f64 * LEGEND_ROW_HEIGHT;
@@ -89,9 +85,7 @@ impl Axes {
 
 fn draw_panel(svg: &mut Svg, (x, y): Point, panel: &Panel, motions: &[Motion]) {
     let (value_min, value_max) = padded_range(&panel.curves);
-    let seconds = motions
-        .iter()
-        .map(|m| (m.frame_count() - 1).max(1) as f64 / m.rate_hz);
+    let seconds = motions.iter().map(|m| (m.frame_count() - 1).max(1) as f64 / m.rate_hz);
     let (inset_left, inset_top, inset_bottom) = PANEL_INSET;
     let axes = Axes {
         left: x + inset_left,
@@ -102,11 +96,7 @@ fn draw_panel(svg: &mut Svg, (x, y): Point, panel: &Panel, motions: &[Motion]) {
         value_min,
         value_max,
     };
-    svg.text(
-        (axes.left, axes.top - 8.0),
-        &TextStyle::heading(12.0),
-        &panel.name,
-    );
+    svg.text((axes.left, axes.top - 8.0), &TextStyle::heading(12.0), &panel.name);
     draw_grid(svg, &axes);
     for (index, curve) in panel.curves.iter().enumerate() {
         let rate_hz = motions[index].rate_hz;
@@ -121,38 +111,20 @@ fn draw_panel(svg: &mut Svg, (x, y): Point, panel: &Panel, motions: &[Motion]) {
 
 fn draw_grid(svg: &mut Svg, axes: &Axes) {
     let (values, decimals) = ticks(axes.value_min, axes.value_max, 4);
-    let label = TextStyle {
-        size: 9.5,
-        ..TextStyle::plain(Anchor::End)
-    };
+    let label = TextStyle { size: 9.5, ..TextStyle::plain(Anchor::End) };
     for value in values {
         let (_, y) = axes.point(0.0, value);
         svg.line(&[(axes.left, y), (axes.right, y)], FAINT, 1.0);
-        svg.text(
-            (axes.left - 6.0, y + 3.3),
-            &label,
-            &format!("{value:.decimals$}"),
-        );
+        svg.text((axes.left - 6.0, y + 3.3), &label, &format!("{value:.decimals$}"));
     }
-    let label = TextStyle {
-        anchor: Anchor::Middle,
-        ..label
-    };
+    let label = TextStyle { anchor: Anchor::Middle, ..label };
     let (seconds, decimals) = ticks(0.0, axes.seconds_max, 6);
     for second in seconds {
         let (x, _) = axes.point(second, axes.value_min);
         svg.line(&[(x, axes.bottom), (x, axes.bottom + 3.0)], INK, 0.8);
-        svg.text(
-            (x, axes.bottom + 13.0),
-            &label,
-            &format!("{second:.decimals$} s"),
-        );
+        svg.text((x, axes.bottom + 13.0), &label, &format!("{second:.decimals$} s"));
     }
-    svg.line(
-        &[(axes.left, axes.bottom), (axes.right, axes.bottom)],
-        INK,
-        0.8,
-    );
+    svg.line(&[(axes.left, axes.bottom), (axes.right, axes.bottom)], INK, 0.8);
 }
 
 /// Range of all curves with a little air; a flat panel gets some so that its line lies in the
@@ -226,18 +198,12 @@ fn panel_channels(layout: &PoseLayout) -> Vec<(String, Read)> {
             GroupKind::Translation | GroupKind::Position => range
                 .enumerate()
                 .map(|(axis, channel)| {
-                    (
-                        format!("{name} {} ({unit})", axis_name(axis)),
-                        Read::Channel(channel),
-                    )
+                    (format!("{name} {} ({unit})", axis_name(axis)), Read::Channel(channel))
                 })
                 .collect(),
             GroupKind::Rotation6d => (0..3)
                 .map(|axis| {
-                    let read = Read::RotationDeg {
-                        first: range.start,
-                        axis,
-                    };
+                    let read = Read::RotationDeg { first: range.start, axis };
                     (format!("{name} turn about {} (deg)", axis_name(axis)), read)
                 })
                 .collect(),

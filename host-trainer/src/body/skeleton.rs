@@ -114,10 +114,7 @@ impl Skeleton {
 
     fn from_table(table: &[(&str, usize, [f32; 3])]) -> Self {
         Self {
-            names: table
-                .iter()
-                .map(|(name, _, _)| (*name).to_owned())
-                .collect(),
+            names: table.iter().map(|(name, _, _)| (*name).to_owned()).collect(),
             parents: table
                 .iter()
                 .enumerate()
@@ -177,11 +174,7 @@ impl Skeleton {
             .map(|joint| parent_index(path, &names, joint))
             .collect::<Result<_>>()?;
         let offsets = file.joint.iter().map(|joint| joint.offset).collect();
-        let skeleton = Self {
-            names,
-            parents,
-            offsets,
-        };
+        let skeleton = Self { names, parents, offsets };
         skeleton.check(path)?;
         Ok(skeleton)
     }
@@ -215,20 +208,12 @@ impl Skeleton {
     fn check_joint(&self, source: &Path, joint: usize) -> Result<()> {
         let name = &self.names[joint];
         let refuse = |value: &str, expected: &str, remedy: &str| {
-            Err(Error::bad_input(
-                source,
-                format!("joint {name}"),
-                value,
-                expected,
-                remedy,
-            ))
+            Err(Error::bad_input(source, format!("joint {name}"), value, expected, remedy))
         };
         match self.parents[joint] {
-            None if joint > 0 => refuse(
-                "a second root",
-                "one root, the first joint",
-                "name its parent",
-            ),
+            None if joint > 0 => {
+                refuse("a second root", "one root, the first joint", "name its parent")
+            }
             Some(parent) if parent >= joint => refuse(
                 &format!("listed before its parent, joint {parent}"),
                 "parents before children",
@@ -237,10 +222,7 @@ impl Skeleton {
             _ if self.names[..joint].contains(name) => {
                 refuse("named twice", "unique names", "rename one of the two")
             }
-            _ if !self.offsets[joint]
-                .iter()
-                .all(|element| element.is_finite()) =>
-            {
+            _ if !self.offsets[joint].iter().all(|element| element.is_finite()) => {
                 refuse("an infinite offset", "finite numbers", "repair the offset")
             }
             _ => Ok(()),
@@ -276,18 +258,15 @@ fn parent_index(path: &Path, names: &[String], joint: &JointEntry) -> Result<Opt
     let Some(parent) = &joint.parent else {
         return Ok(None);
     };
-    let index = names
-        .iter()
-        .position(|name| name == parent)
-        .ok_or_else(|| {
-            Error::bad_input(
-                path,
-                format!("parent of joint {}", joint.name),
-                parent,
-                "the name of another joint of the file",
-                "check the spelling",
-            )
-        })?;
+    let index = names.iter().position(|name| name == parent).ok_or_else(|| {
+        Error::bad_input(
+            path,
+            format!("parent of joint {}", joint.name),
+            parent,
+            "the name of another joint of the file",
+            "check the spelling",
+        )
+    })?;
     Ok(Some(index))
 }
 
@@ -299,18 +278,13 @@ mod tests {
     fn refusal(text: &str) -> String {
         let mut file = tempfile::NamedTempFile::new().unwrap();
         file.write_all(text.as_bytes()).unwrap();
-        Skeleton::by_name_or_file(file.path().to_str().unwrap())
-            .unwrap_err()
-            .to_string()
+        Skeleton::by_name_or_file(file.path().to_str().unwrap()).unwrap_err().to_string()
     }
 
     #[test]
     fn unknown_name_is_rejected_with_the_known_ones() {
         let error = Skeleton::by_name_or_file("smpl42").unwrap_err().to_string();
-        assert!(
-            error.contains("smpl42") && error.contains("smpl24"),
-            "{error}"
-        );
+        assert!(error.contains("smpl42") && error.contains("smpl24"), "{error}");
     }
 
     #[test]
@@ -318,19 +292,13 @@ mod tests {
         for (text, expected) in [
             ("joint = []", "at least one joint"),
             ("[[joint]]\nnme = 'a'", "nme"),
-            (
-                "[[joint]]\nname = 'a'\n[[joint]]\nname = 'b'",
-                "joint b is a second root",
-            ),
+            ("[[joint]]\nname = 'a'\n[[joint]]\nname = 'b'", "joint b is a second root"),
             (
                 "[[joint]]\nname = 'a'\n[[joint]]\nname = 'b'\nparent = 'c'",
                 "parent of joint b is c",
             ),
             ("[[joint]]\nname = 'a'\nparent = 'a'", "before its parent"),
-            (
-                "[[joint]]\nname = 'a'\n[[joint]]\nname = 'a'\nparent = 'a'",
-                "named twice",
-            ),
+            ("[[joint]]\nname = 'a'\n[[joint]]\nname = 'a'\nparent = 'a'", "named twice"),
             ("[[joint]]\nname = 'a'\noffset = [0, nan, 0]", "offset"),
         ] {
             let error = refusal(text);
@@ -359,10 +327,8 @@ mod tests {
             vec![9, 13, 16, 18, 20, 22],
             vec![9, 14, 17, 19, 21, 23],
         ];
-        for (skeleton, chains) in [
-            (Skeleton::smpl24(), smpl.as_slice()),
-            (Skeleton::cmu20(), &[]),
-        ] {
+        for (skeleton, chains) in [(Skeleton::smpl24(), smpl.as_slice()), (Skeleton::cmu20(), &[])]
+        {
             skeleton.check(Path::new("built in")).unwrap();
             for pair in chains.iter().flat_map(|chain| chain.windows(2)) {
                 assert_eq!(skeleton.parents[pair[1]], Some(pair[0]));

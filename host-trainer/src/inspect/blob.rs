@@ -129,10 +129,8 @@ pub fn read_blob(path: &Path) -> Result<Vec<u8>> {
 
 /// `Model::from_bytes` with the file's name in the error.
 pub fn load<'a>(path: &Path, blob: &'a [u8]) -> Result<Model<'a>> {
-    Model::from_bytes(blob).map_err(|reason| Error::Blob {
-        path: path.into(),
-        reason: reason.to_string(),
-    })
+    Model::from_bytes(blob)
+        .map_err(|reason| Error::Blob { path: path.into(), reason: reason.to_string() })
 }
 
 fn groups_of(model: &Model<'_>) -> Vec<GroupReport> {
@@ -163,17 +161,11 @@ fn parts_of(model: &Model<'_>, bytes: usize) -> Vec<PartReport> {
     for (kind, length) in tensor_plan(model.manifest()).filter(|(_, length)| *length > 0) {
         match parts.iter_mut().find(|report| report.part == kind.part()) {
             Some(report) => report.bytes += length,
-            None => parts.push(PartReport {
-                part: kind.part(),
-                bytes: length,
-            }),
+            None => parts.push(PartReport { part: kind.part(), bytes: length }),
         }
     }
     let rest = bytes as u64 - parts.iter().map(|report| report.bytes).sum::<u64>();
-    parts.push(PartReport {
-        part: "header, names, alignment",
-        bytes: rest,
-    });
+    parts.push(PartReport { part: "header, names, alignment", bytes: rest });
     parts
 }
 
@@ -190,22 +182,11 @@ fn ram_bytes(model: &Model<'_>) -> usize {
 
 impl fmt::Display for BlobReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let layers: Vec<String> = self
-            .layers
-            .iter()
-            .map(|(inputs, outputs)| format!("{inputs}→{outputs}"))
-            .collect();
-        writeln!(
-            out,
-            "{} ({}, {} Hz, seed {})",
-            self.name, self.format, self.rate_hz, self.seed
-        )?;
+        let layers: Vec<String> =
+            self.layers.iter().map(|(inputs, outputs)| format!("{inputs}→{outputs}")).collect();
+        writeln!(out, "{} ({}, {} Hz, seed {})", self.name, self.format, self.rate_hz, self.seed)?;
         writeln!(out, "config      {}", self.config_hash)?;
-        writeln!(
-            out,
-            "layers      {}  (code half, time half, …)",
-            layers.join("  ")
-        )?;
+        writeln!(out, "layers      {}  (code half, time half, …)", layers.join("  "))?;
         writeln!(
             out,
             "sampler     {}: {} components in {} length intervals; codes of {} + {} numbers",
@@ -221,11 +202,7 @@ impl fmt::Display for BlobReport {
             thousands(self.multiply_accumulates_per_pose),
             thousands(self.multiply_accumulates_per_motion)
         )?;
-        writeln!(
-            out,
-            "RAM         {} bytes\n",
-            thousands(self.ram_bytes as u64)
-        )?;
+        writeln!(out, "RAM         {} bytes\n", thousands(self.ram_bytes as u64))?;
         let mut actions = Table::new(["action", "shortest s", "longest s"]);
         for action in &self.actions {
             let seconds = |seconds: f64| format!("{seconds:.2}");
