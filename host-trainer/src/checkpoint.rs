@@ -283,7 +283,7 @@ mod tests {
             let mut damaged = bytes.clone();
             damaged[place] ^= 0x01;
             // Some changes are harmless (a name in the description); none may panic or change a shape.
-            if let Ok(loaded) = Checkpoint::from_bytes(&damaged, &PathBuf::from("damaged")) {
+            if let Ok(loaded) = Checkpoint::from_bytes(&damaged, Path::new("damaged")) {
                 assert_eq!(loaded.model.parameter_count(), checkpoint.model.parameter_count());
             }
         }

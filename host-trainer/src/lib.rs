@@ -15,6 +15,7 @@ pub mod represent;
 pub mod dataset;
 pub mod config;
 pub mod random;
+pub mod simd;
 pub mod float_model;
 pub mod checkpoint;
 pub mod train;

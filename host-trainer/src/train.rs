@@ -19,7 +19,6 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use faer::Par;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 use crate::atomic_file;
@@ -90,17 +89,12 @@ pub fn train(
     }
     let no_threads = |error| Error::io("start threads for", run)(std::io::Error::other(error));
     let pool = threads.build().map_err(no_threads)?;
-    let par = if pool.current_num_threads() > 1 {
-        Par::rayon(pool.current_num_threads())
-    } else {
-        Par::Seq
-    };
     pool.install(|| {
         let checkpoint = open_run(dataset, config, run, options.start)?;
         let log = MetricLog::open(run, checkpoint.state.step)?;
         Run {
             sums: MetricSums::new(&dataset.description),
-            trainer: Trainer::new(checkpoint, dataset, par),
+            trainer: Trainer::new(checkpoint, dataset),
             log,
             run,
             options,
@@ -352,7 +346,7 @@ mod tests {
     fn killed_run(config: &TrainConfig, run: &Path, step_count: u64) {
         let dataset = dataset();
         let checkpoint = open_run(&dataset, config, run, Start::New).unwrap();
-        let mut trainer = Trainer::new(checkpoint, &dataset, Par::Seq);
+        let mut trainer = Trainer::new(checkpoint, &dataset);
         for step in 0..step_count {
             let done = progress(&config.budget, step, 0.0);
             trainer.step(rate_factor(config.schedule.shape, done));
