@@ -10,6 +10,7 @@
 
 use std::collections::HashMap;
 use std::fs;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use karakuri::{GroupKind, Unit};
@@ -129,7 +130,12 @@ impl Checkpoint {
     /// [`Error::Io`], or [`Error::BadInput`] that names the tensor or key that is not as it has to be.
     pub fn read(run: &Path) -> Result<Self> {
         let path = run.join(FILE_NAME);
-        let bytes = fs::read(&path).map_err(Error::io("read", &path))?;
+        let bytes = fs::read(&path).map_err(|error| match error.kind() {
+            ErrorKind::NotFound => {
+                Error::bad_input(run, FILE_NAME, "missing", "a training run", REMEDY)
+            }
+            _ => Error::io("read", &path)(error),
+        })?;
         Source::new(&path, &bytes)?.checkpoint()
     }
 }
@@ -270,8 +276,9 @@ mod tests {
     #[test]
     fn run_without_checkpoint_names_the_missing_file() {
         let error = Checkpoint::read(Path::new("no/such/run")).unwrap_err();
-        assert_eq!(error.exit_code(), 4);
-        assert!(error.to_string().contains("no/such/run/checkpoint.safetensors"), "{error}");
+        assert_eq!(error.exit_code(), 3);
+        let text = error.to_string();
+        assert!(text.contains("no/such/run: checkpoint.safetensors is missing"), "{text}");
     }
 
     #[test]

@@ -14,9 +14,10 @@ use indicatif::ProgressBar;
 use karakuri::{ActionId, Code, Decoder, FramePosition, Model, Pcg32, Pose};
 use serde::Serialize;
 
+use crate::belonging::check_belonging;
 use crate::checkpoint::Checkpoint;
 use crate::choose_cases::choose_cases;
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::error_table::{ErrorRow, PosePair, Rows, error_rows};
 use crate::host::widest_workspace;
 use crate::reference::Reference;
@@ -101,73 +102,6 @@ pub fn compare(
         training_clips: table(&clips)?,
         mixture_draws: table(&draws)?,
     })
-}
-
-/// Figures of two different models say nothing, so everything that both files know must be equal.
-fn check_belonging(checkpoint: &Checkpoint, model: &Model<'_>) -> Result<()> {
-    let dataset = &checkpoint.dataset;
-    let blob_groups = model.groups().map(|group| (group.name, group.kind, group.unit));
-    let run_groups =
-        dataset.layout.groups.iter().map(|group| (&*group.name, group.kind, group.unit));
-    let facts = [
-        ("actions", model.actions().collect::<Vec<_>>().join(", "), dataset.actions.join(", ")),
-        (
-            "layout",
-            format!("{:?}", blob_groups.collect::<Vec<_>>()),
-            format!("{:?}", run_groups.collect::<Vec<_>>()),
-        ),
-        ("shape", blob_shape(model), run_shape(checkpoint)),
-        (
-            "config hash",
-            hexadecimal(&model.provenance().config_hash),
-            checkpoint.config_hash.clone(),
-        ),
-    ];
-    match facts.into_iter().find(|(_, blob, run)| blob != run) {
-        None => Ok(()),
-        Some((field, blob, run)) => Err(Error::bad_input(
-            "blob",
-            field,
-            blob,
-            format!("{run}, as in {}", checkpoint.path.display()),
-            "compare a blob with the run that it was quantized from",
-        )),
-    }
-}
-
-/// Numbers of β, α and sinusoids, then the outputs of every layer.
-fn blob_shape(model: &Model<'_>) -> String {
-    let manifest = model.manifest();
-    let outputs = manifest.layers.iter().skip(1).map(|layer| usize::from(layer.output_count));
-    shape(
-        manifest.sequence_code_count.into(),
-        manifest.action_code_count.into(),
-        2 * usize::from(manifest.frequency_count),
-        outputs,
-    )
-}
-
-fn run_shape(checkpoint: &Checkpoint) -> String {
-    shape(
-        checkpoint.sequence_codes.column_count,
-        checkpoint.action_codes.column_count,
-        2 * checkpoint.frequencies_rad.len(),
-        checkpoint.layers.iter().map(|layer| layer.bias.len()),
-    )
-}
-
-fn shape(
-    sequence: usize,
-    action: usize,
-    sinusoids: usize,
-    outputs: impl Iterator<Item = usize>,
-) -> String {
-    let outputs: Vec<String> = outputs.map(|count| count.to_string()).collect();
-    format!("{sequence}+{action}+{sinusoids} → {}", outputs.join(" → "))
-}
-
-fn hexadecimal(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 /// Every clip with its mean code.
@@ -273,6 +207,7 @@ impl Motion {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::error::Error;
     use crate::fixture::Fixture;
     use karakuri::NumberFormat;
 
@@ -288,28 +223,6 @@ mod tests {
     fn bytes_that_are_no_blob_are_rejected() {
         let error = compare_fixtures(&Fixture::new(1), b"KRKR").unwrap_err();
         assert!(matches!(error, Error::Blob { .. }), "{error}");
-    }
-
-    #[test]
-    fn blob_of_another_training_is_rejected() {
-        let fixture = Fixture::new(1);
-        let blob = fixture.blob(NumberFormat::F16);
-        let mut other = Fixture::new(1);
-        other.config_hash = [1; 32];
-        let error = compare_fixtures(&other, &blob).unwrap_err();
-        assert_eq!(error.exit_code(), 3);
-        assert!(error.to_string().contains("config hash"), "{error}");
-    }
-
-    #[test]
-    fn blob_of_another_shape_is_rejected() {
-        let fixture = Fixture::new(1);
-        let run = fixture.run();
-        let mut checkpoint = Checkpoint::read(run.path()).unwrap();
-        checkpoint.layers.pop();
-        let blob = fixture.blob(NumberFormat::F16);
-        let error = compare(&checkpoint, &blob, OPTIONS, &ProgressBar::hidden()).unwrap_err();
-        assert!(error.to_string().contains("shape is 3+2+8 → 24 → 16 → 12 → 10"), "{error}");
     }
 
     #[test]

@@ -230,7 +230,7 @@ impl Fixture {
         let component = |value: &f64| (value / WEIGHT_UNIT) as i8 as u8;
         let step = (WEIGHT_UNIT * f64::from(1 << (CODE_FRACTION_BITS + 8))) as i32;
         let interval = |(action, frames): (usize, &[usize])| {
-            let halves = [action, frames[0].min(frames[1]), frames[0].max(frames[1]), 40];
+            let halves = [action, frames[0].min(frames[1]), frames[0].max(frames[1]), 1 << 12];
             let words = [2 * action as u32, 2];
             let halves = halves.into_iter().flat_map(|half| (half as u16).to_le_bytes());
             halves.chain(words.into_iter().flat_map(u32::to_le_bytes)).collect::<Vec<_>>()
@@ -245,6 +245,7 @@ impl Fixture {
                 self.action_codes.iter().flat_map(|v| code(v).to_le_bytes()).collect(),
             ),
             (TensorKind::Components, self.sequence_codes.iter().map(component).collect()),
+            (TensorKind::DeviationSteps, [40 << 8; SEQUENCE].map(i32::to_le_bytes).concat()),
             (
                 TensorKind::ComponentSteps,
                 [step; SEQUENCE].into_iter().flat_map(i32::to_le_bytes).collect(),

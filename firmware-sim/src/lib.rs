@@ -16,8 +16,9 @@ pub mod qemu;
 pub mod transcript;
 pub mod parity;
 
-// compare: checkpoint → reference → pairs of poses → error table
+// compare: checkpoint and blob that belong together → reference → pairs of poses → error table
 pub mod checkpoint;
+pub mod belonging;
 pub mod reference;
 pub mod rotation;
 pub mod error_table;

@@ -112,19 +112,21 @@ impl Toolchain {
         let mut flags = vec!["-C".to_owned(), format!("target-cpu={}", self.target.name())];
         if self.linker == Linker::Gnu {
             flags.extend(["-C".to_owned(), "linker-flavor=ld".to_owned()]);
-            command.arg("--config").arg(self.setting("linker", &format!("{GNU_LINKER:?}")));
+            command.arg("--config").arg(setting("linker", &format!("{GNU_LINKER:?}")));
         }
-        command.arg("--config").arg(self.setting("rustflags", &format!("{flags:?}")));
+        command.arg("--config").arg(setting("rustflags", &format!("{flags:?}")));
         if self.library == Library::FromSource {
             command.arg("-Zbuild-std=core").env("RUSTC_BOOTSTRAP", "1");
         }
         command
     }
+}
 
-    /// Cargo joins lists of all sources, so the linker script named in `.cargo/config.toml` stays.
-    fn setting(&self, key: &str, toml: &str) -> OsString {
-        format!("target.'{}'.{key}={toml}", self.target.triple()).into()
-    }
+/// A setting for every bare-metal target: cargo does not find a key with a dot, which Armv8-M's triple has.
+///
+/// Cargo joins lists of all sources, so the linker script named in `.cargo/config.toml` stays.
+fn setting(key: &str, toml: &str) -> OsString {
+    format!("target.'cfg(target_os = \"none\")'.{key}={toml}").into()
 }
 
 fn missing(target: Target) -> Error {
@@ -191,8 +193,8 @@ mod tests {
         let command = toolchain.build_command();
         let arguments: Vec<_> = command.get_args().map(|text| text.to_string_lossy()).collect();
         let expected = [
-            r#"target.'thumbv7em-none-eabihf'.linker="arm-none-eabi-ld""#,
-            r#"target.'thumbv7em-none-eabihf'.rustflags=["-C", "target-cpu=cortex-m4", "-C", "linker-flavor=ld"]"#,
+            r#"target.'cfg(target_os = "none")'.linker="arm-none-eabi-ld""#,
+            r#"target.'cfg(target_os = "none")'.rustflags=["-C", "target-cpu=cortex-m4", "-C", "linker-flavor=ld"]"#,
             "-Zbuild-std=core",
         ];
         for argument in expected {

@@ -155,7 +155,7 @@ impl Checkpoint {
         Self::from_bytes(&bytes, &file)
     }
 
-    fn from_bytes(bytes: &[u8], file: &PathBuf) -> Result<Self> {
+    fn from_bytes(bytes: &[u8], file: &Path) -> Result<Self> {
         let reader = TensorReader::parse(bytes, file)?;
         let config = TrainConfig::from_toml(reader.metadata("config")?, file)?;
         let dataset: DatasetDescription = reader.json("dataset")?;

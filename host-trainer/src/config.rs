@@ -285,7 +285,7 @@ impl TrainConfig {
             rule(
                 "time.sinusoid_count",
                 self.time.sinusoid_count,
-                self.time.sinusoid_count >= 2 && self.time.sinusoid_count % 2 == 0,
+                self.time.sinusoid_count >= 2 && self.time.sinusoid_count.is_multiple_of(2),
                 "an even number of 2 or more",
             ),
             rule(
