@@ -12,6 +12,7 @@ pub mod optimizer;
 pub mod metrics;
 
 pub mod batch;
+pub mod infer_codes;
 pub mod step;
 
 use std::fs;
@@ -90,17 +91,12 @@ pub fn train(
     }
     let no_threads = |error| Error::io("start threads for", run)(std::io::Error::other(error));
     let pool = threads.build().map_err(no_threads)?;
-    let par = if pool.current_num_threads() > 1 {
-        Par::rayon(pool.current_num_threads())
-    } else {
-        Par::Seq
-    };
     pool.install(|| {
         let checkpoint = open_run(dataset, config, run, options.start)?;
         let log = MetricLog::open(run, checkpoint.state.step)?;
         Run {
             sums: MetricSums::new(&dataset.description),
-            trainer: Trainer::new(checkpoint, dataset, par),
+            trainer: Trainer::new(checkpoint, dataset, parallelism()),
             log,
             run,
             options,
@@ -108,6 +104,14 @@ pub fn train(
         }
         .finish()
     })
+}
+
+/// All threads of the pool that this runs in.
+fn parallelism() -> Par {
+    match rayon::current_num_threads() {
+        1 => Par::Seq,
+        thread_count => Par::rayon(thread_count),
+    }
 }
 
 /// The checkpoint to start from: a new folder's at step 0, or the saved one.
