@@ -230,7 +230,8 @@ pub fn dataset_hash(dataset: &Dataset) -> String {
 /// Refuses a description whose parts contradict each other, so that indexing by it cannot fail.
 fn check_description(dataset: &DatasetDescription, file: &Path) -> Result<()> {
     let channel_count = dataset.layout.channel_count();
-    let lost = dataset.clips.iter().find(|clip| clip.action >= dataset.actions.len());
+    let mut clips = dataset.clips.iter().chain(&dataset.held_out);
+    let lost = clips.find(|clip| clip.action >= dataset.actions.len());
     let complaint = if let Some(clip) = lost {
         Some(("clips", format!("action {} of clip {}", clip.action, clip.name)))
     } else if dataset.mean.len() != channel_count || dataset.scale.len() != channel_count {

@@ -94,6 +94,10 @@ section! {
         representation: Representation,
         /// How channels are scaled.
         standardization: Standardization,
+        /// Share of each action's clips that training does not see. 0 stays out of the canonical text: runs from before
+        /// this key held nothing out, and keep their hash.
+        #[serde(default, skip_serializing_if = "is_zero")]
+        hold_out: f64,
         /// `[decoder]`
         decoder: DecoderConfig,
         /// `[time]`
@@ -274,7 +278,13 @@ impl TrainConfig {
     /// # Errors
     /// `BadInput` naming the first key whose value is out of range.
     pub fn check(&self, source: &Path) -> Result<()> {
-        let rules: [(&str, String, bool, &str); 17] = [
+        let rules: [(&str, String, bool, &str); 18] = [
+            rule(
+                "hold_out",
+                self.hold_out,
+                (0.0..1.0).contains(&self.hold_out),
+                "0 or more, below 1",
+            ),
             rule(
                 "decoder.hidden_widths",
                 format!("{:?}", self.decoder.hidden_widths),
@@ -373,6 +383,11 @@ impl TrainConfig {
     }
 }
 
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde hands over a reference")]
+fn is_zero(value: &f64) -> bool {
+    *value == 0.0
+}
+
 /// (key, its value, whether it is in order, what is expected)
 fn rule<'a>(
     key: &'a str,
@@ -455,6 +470,9 @@ mod tests {
     #[test]
     fn wrong_type_unknown_word_and_wrong_range_are_rejected_by_key() {
         for (text, word) in [
+            ("hold_out = 1", "hold_out"),
+            ("hold_out = -0.1", "hold_out"),
+            ("hold_out = nan", "hold_out"),
             ("[batch]\nclips = \"many\"", "batch.clips"),
             ("[batch]\nclips = 0", "batch.clips"),
             ("[schedule]\nshape = \"linear\"", "linear"),
@@ -479,6 +497,17 @@ mod tests {
             assert_eq!(config, again);
             assert_eq!(config.config_hash(), again.config_hash());
         }
+    }
+
+    #[test]
+    fn hold_out_is_in_the_canonical_text_and_the_hash_unless_it_is_0() {
+        let preset = TrainConfig::preset("small").unwrap();
+        assert!(!preset.to_toml().contains("hold_out"));
+        let holding_out = with_file("hold_out = 0.2").unwrap();
+        assert!(holding_out.to_toml().contains("hold_out = 0.2"));
+        assert_ne!(holding_out.config_hash(), preset.config_hash());
+        let zero = with_file("hold_out = 0").unwrap();
+        assert_eq!(zero.config_hash(), preset.config_hash());
     }
 
     #[test]

@@ -11,6 +11,7 @@ pub mod clip;
 pub mod character;
 pub mod import;
 pub mod inspect;
+pub mod hold_out;
 pub mod represent;
 pub mod dataset;
 pub mod config;

@@ -12,6 +12,7 @@ pub mod optimizer;
 pub mod metrics;
 
 pub mod batch;
+pub mod infer_codes;
 pub mod step;
 
 use std::fs;

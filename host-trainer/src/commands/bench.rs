@@ -203,6 +203,7 @@ fn random_dataset() -> Dataset {
             rate_hz: 20.0,
             actions: (0..ACTION_COUNT).map(|action| format!("action{action}")).collect(),
             clips,
+            held_out: Vec::new(),
             mean: vec![0.0; channel_count],
             scale: vec![1.0; channel_count],
             skeleton: None,

@@ -8,7 +8,7 @@
 use faer::Accum;
 
 use crate::checkpoint::Checkpoint;
-use crate::config::{CodeRows, DecoderStep, Reduction};
+use crate::config::{CodeRows, DecoderStep, Reduction, TrainConfig};
 use crate::dataset::Dataset;
 use crate::float_model::{CodeTable, Wanted, Workspace};
 use crate::layout::PoseLayout;
@@ -82,11 +82,22 @@ impl<'a> Trainer<'a> {
         self.differentiate(&position);
         self.collect_code_gradients();
         if position.moves_codes {
-            self.move_codes(rate_factor);
+            self.move_action_codes(rate_factor);
+            self.move_sequence_codes(rate_factor);
         }
         if position.moves_decoder && self.decoder_is_due(&position) {
             self.move_decoder(rate_factor);
         }
+        self.checkpoint.state.step += 1;
+    }
+
+    /// As [`step`](Self::step), but moves β alone: so the code of a clip is found that training did not see.
+    pub fn step_sequence_codes(&mut self, rate_factor: f64) {
+        let position = StepPosition { moves_codes: true, moves_decoder: false, ..self.draw() };
+        self.evaluate();
+        self.differentiate(&position);
+        self.collect_code_gradients();
+        self.move_sequence_codes(rate_factor);
         self.checkpoint.state.step += 1;
     }
 
@@ -177,21 +188,21 @@ impl<'a> Trainer<'a> {
         self.report.divergence = divergence;
     }
 
-    fn move_codes(&mut self, rate_factor: f64) {
-        let Checkpoint { config, sequence_codes, action_codes, optimizer, .. } =
-            &mut self.checkpoint;
+    fn move_action_codes(&mut self, rate_factor: f64) {
+        let Checkpoint { config, action_codes, optimizer, .. } = &mut self.checkpoint;
         self.action_in_batch.fill(config.update.code_rows == CodeRows::Dense);
         for &action in &self.batch.actions {
             self.action_in_batch[action] = true;
         }
-        let step = CodeStep {
-            adam: Adam::new(&config.adam),
-            learning_rate: config.adam.code_learning_rate * rate_factor,
-            norm_max: config.update.gradient_norm_max,
-        };
+        let step = CodeStep::new(config, rate_factor);
         let in_batch = &self.action_in_batch;
         let actions = (0..in_batch.len()).filter(|&action| in_batch[action]);
         step.run(action_codes, &self.action_gradient, &mut optimizer.action_codes, actions);
+    }
+
+    fn move_sequence_codes(&mut self, rate_factor: f64) {
+        let Checkpoint { config, sequence_codes, optimizer, .. } = &mut self.checkpoint;
+        let step = CodeStep::new(config, rate_factor);
         let moments = &mut optimizer.sequence_codes;
         if config.update.code_rows == CodeRows::Dense {
             let rows = 0..sequence_codes.row_count();
@@ -274,6 +285,14 @@ struct CodeStep {
 }
 
 impl CodeStep {
+    fn new(config: &TrainConfig, rate_factor: f64) -> Self {
+        Self {
+            adam: Adam::new(&config.adam),
+            learning_rate: config.adam.code_learning_rate * rate_factor,
+            norm_max: config.update.gradient_norm_max,
+        }
+    }
+
     fn run(
         &self,
         table: &mut CodeTable,
