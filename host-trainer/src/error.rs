@@ -44,7 +44,9 @@ pub enum Error {
         resume: String,
     },
     /// A blob that `core` refuses.
-    #[error("{path}: not a usable blob: {reason}")]
+    #[error(
+        "{path}: not a usable blob: {reason}; copy it again, or make one with `host-trainer quantize`"
+    )]
     Blob {
         /// The file.
         path: PathBuf,

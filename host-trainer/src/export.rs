@@ -92,24 +92,48 @@ pub fn write(
     path: &Path,
     overwrite: Overwrite,
 ) -> Result<Vec<PathBuf>> {
-    let bytes = encode(motion, format, path)?;
-    let mut files = vec![(path.to_owned(), bytes)];
-    if let (ExportFormat::Npy, Some(joints)) = (format, motion.joint_positions()) {
-        let folder = path.parent().unwrap_or(Path::new("")).join("joints");
-        let file = folder.join(path.file_name().unwrap_or_default());
-        std::fs::create_dir_all(&folder).map_err(Error::io("create", &folder))?;
-        let bytes = joints_npy(&joints).map_err(Error::io("encode", &file))?;
-        files.push((file, bytes));
-    }
-    // All or none: a file that is in the way must not leave half of a pair behind.
-    files.iter().try_for_each(|(file, _)| atomic_file::check(file, overwrite))?;
-    for (file, bytes) in &files {
-        atomic_file::write(file, bytes, overwrite)?;
-    }
+    let files = encode(motion, format, path)?;
+    write_files(&files, overwrite)?;
     Ok(files.into_iter().map(|(file, _)| file).collect())
 }
 
-fn encode(motion: &Motion, format: ExportFormat, path: &Path) -> Result<Vec<u8>> {
+/// The files of one motion with their bytes, `path` first; nothing is written yet.
+///
+/// # Errors
+/// The motion does not fit the format.
+pub fn encode(
+    motion: &Motion,
+    format: ExportFormat,
+    path: &Path,
+) -> Result<Vec<(PathBuf, Vec<u8>)>> {
+    let mut files = vec![(path.to_owned(), encode_poses(motion, format, path)?)];
+    if let (ExportFormat::Npy, Some(joints)) = (format, motion.joint_positions()) {
+        let folder = path.parent().unwrap_or(Path::new("")).join("joints");
+        let file = folder.join(path.file_name().unwrap_or_default());
+        let bytes = joints_npy(&joints).map_err(Error::io("encode", &file))?;
+        files.push((file, bytes));
+    }
+    Ok(files)
+}
+
+/// Writes files, and the last folder of their paths where it is missing. A file that is in the way stops all of them.
+///
+/// # Errors
+/// As [`write`].
+pub fn write_files(files: &[(PathBuf, Vec<u8>)], overwrite: Overwrite) -> Result<()> {
+    files.iter().try_for_each(|(file, _)| atomic_file::check(file, overwrite))?;
+    for (file, bytes) in files {
+        let folder =
+            file.parent().filter(|folder| !folder.as_os_str().is_empty() && !folder.exists());
+        if let Some(folder) = folder {
+            std::fs::create_dir(folder).map_err(Error::io("create", folder))?;
+        }
+        atomic_file::write(file, bytes, overwrite)?;
+    }
+    Ok(())
+}
+
+fn encode_poses(motion: &Motion, format: ExportFormat, path: &Path) -> Result<Vec<u8>> {
     match format {
         ExportFormat::Csv => Ok(csv(motion).into_bytes()),
         ExportFormat::Npy => {

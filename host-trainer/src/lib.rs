@@ -4,6 +4,7 @@
 
 pub mod error;
 pub mod atomic_file;
+pub mod stdout;
 pub mod table;
 pub mod layout;
 pub mod body;

@@ -1,8 +1,9 @@
 //! `firmware-sim compare`: what does the number format cost?
 
+use std::fmt::Write;
 use std::path::PathBuf;
 
-use super::{print_json, progress_bar, read_blob};
+use super::{print, print_json, progress_bar, read_blob};
 use crate::checkpoint::Checkpoint;
 use crate::compare::{Comparison, DRAW_POSE_COUNT, ErrorTable, Options, POSES_PER_CLIP, compare};
 use crate::error::Result;
@@ -50,38 +51,38 @@ pub fn run(args: &CompareArgs) -> Result<()> {
         compare(&checkpoint, &blob, options, &progress).map_err(|error| error.in_file(&args.model));
     progress.finish_and_clear();
     let comparison = comparison?;
-    if args.json { print_json(&comparison) } else { print_tables(&comparison) }
+    if args.json { print_json(&comparison) } else { print(tables(&comparison)) }
 }
 
-fn print_tables(comparison: &Comparison) -> Result<()> {
-    let format = comparison.number_format;
-    println!("Error of {format} against the float model in f64.\n");
-    let clips = &comparison.training_clips;
-    println!(
-        "Training clips, their own codes: {} clips, {} of {} frames, evenly spaced.",
-        clips.motion_count, clips.pose_count, clips.frame_count
-    );
-    print_table(clips);
-    let draws = &comparison.mixture_draws;
-    println!(
-        "\nMixture draws of the device, the same code on both sides: {} motions, {} poses.",
-        draws.motion_count, draws.pose_count
-    );
-    print_table(draws);
-    Ok(())
+fn tables(comparison: &Comparison) -> String {
+    let Comparison { number_format, training_clips: clips, mixture_draws: draws } = comparison;
+    format!(
+        "Error of {number_format} against the float model in f64.\n\n\
+         Training clips, their own codes: {} clips, {} of {} frames, evenly spaced.\n{}\n\
+         Mixture draws of the device, the same code on both sides: {} motions, {} poses.\n{}",
+        clips.motion_count,
+        clips.pose_count,
+        clips.frame_count,
+        table(clips),
+        draws.motion_count,
+        draws.pose_count,
+        table(draws),
+    )
 }
 
-fn print_table(table: &ErrorTable) {
+fn table(table: &ErrorTable) -> String {
     let names = table.rows.iter().map(|row| row.group.chars().count());
     let width = names.chain(["group".len()]).max().unwrap_or_default();
-    println!(
-        "{:<width$}  {:>8}  {:<4}  {:>10}  {:>10}  {:>10}  {:>8}",
+    let mut text = format!(
+        "{:<width$}  {:>8}  {:<4}  {:>10}  {:>10}  {:>10}  {:>8}\n",
         "group", "channels", "unit", "RMS", "99 %", "max", "SNR dB"
     );
     for row in &table.rows {
         let signal_to_noise =
             row.signal_to_noise_db.map_or("exact".into(), |db| format!("{db:.1}"));
-        println!(
+        // Writing to a string cannot fail.
+        let _ = writeln!(
+            text,
             "{:<width$}  {:>8}  {:<4}  {:>10.5}  {:>10.5}  {:>10.5}  {:>8}",
             row.group,
             row.channel_count,
@@ -92,4 +93,5 @@ fn print_table(table: &ErrorTable) {
             signal_to_noise
         );
     }
+    text
 }

@@ -5,7 +5,7 @@ pub mod run;
 pub mod trace;
 
 use std::fs;
-use std::io;
+use std::io::{self, ErrorKind, Write};
 use std::path::Path;
 use std::time::Duration;
 
@@ -28,10 +28,16 @@ fn read_blob(path: &Path) -> Result<Vec<u8>> {
     fs::read(path).map_err(Error::io("read", path))
 }
 
+/// Prints data. A full disk is an error where `println!` panics; a reader that closed the pipe is none.
+fn print(data: impl AsRef<[u8]>) -> Result<()> {
+    let mut out = io::stdout().lock();
+    match out.write_all(data.as_ref()).and_then(|()| out.flush()) {
+        Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(()),
+        result => result.map_err(Error::io("write", "standard output")),
+    }
+}
+
 fn print_json(value: &impl Serialize) -> Result<()> {
-    serde_json::to_writer_pretty(io::stdout().lock(), value)
-        .map_err(io::Error::from)
-        .map_err(Error::io("write", "standard output"))?;
-    println!();
-    Ok(())
+    let text = serde_json::to_string_pretty(value).map_err(io::Error::from);
+    print(text.map_err(Error::io("write", "standard output"))? + "\n")
 }

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use karakuri::Pose;
 
-use super::{print_json, progress_bar, read_blob};
+use super::{print, print_json, progress_bar, read_blob};
 use crate::error::Result;
 use crate::parity::{Difference, F16_TOLERANCE, POSE_COUNT_MIN, Parity, run_parity};
 use crate::target::Target;
@@ -41,15 +41,13 @@ pub fn run(args: &RunArgs) -> Result<bool> {
     if args.json {
         print_json(&parity)?
     } else {
-        print_table(&parity)
+        print(table(&parity))?
     }
     Ok(parity.passes())
 }
 
-fn print_table(parity: &Parity) {
-    for (name, value) in facts(parity) {
-        println!("{name:<16}{value}");
-    }
+fn table(parity: &Parity) -> String {
+    facts(parity).into_iter().map(|(name, value)| format!("{name:<16}{value}\n")).collect()
 }
 
 /// Name and value of every line; the last is the verdict, complete in itself.

@@ -2,12 +2,12 @@
 
 use std::fmt::Write as _;
 use std::fs::{self, File};
-use std::io::{self, Write as _};
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use karakuri::Model;
 
-use super::{print_json, read_blob};
+use super::{print, print_json, read_blob};
 use crate::error::{Error, Result};
 use crate::trace::{Options, Summary, TICK_HZ, US_PER_S_MAX, US_PER_UNIT, trace};
 
@@ -85,10 +85,7 @@ pub fn run(args: &TraceArgs) -> Result<()> {
     match &args.out {
         Some(out) => write_file(out, &trace.csv()?, args.force)?,
         None if args.json => {}
-        None => {
-            let written = io::stdout().lock().write_all(&trace.csv()?);
-            written.map_err(Error::io("write", "standard output"))?;
-        }
+        None => print(trace.csv()?)?,
     }
     let summary = trace.summary();
     if args.json {

@@ -22,6 +22,7 @@ use crate::dataset::{ClipDescription, Dataset, DatasetDescription};
 use crate::error::{Error, Result};
 use crate::layout::{Group, PoseLayout};
 use crate::random::{Purpose, stream};
+use crate::stdout::{print, print_json};
 use crate::train::step::Trainer;
 
 /// What the user types after `bench`.
@@ -90,13 +91,7 @@ pub fn run(args: &BenchArgs) -> Result<()> {
             Ok(())
         })?;
     }
-    if args.json {
-        let text = serde_json::to_string_pretty(&rows);
-        println!("{}", text.unwrap_or_else(|error| unreachable!("plain numbers: {error}")));
-    } else {
-        print!("{}", BenchTable(&rows));
-    }
-    Ok(())
+    if args.json { print_json(&rows) } else { print(BenchTable(&rows)) }
 }
 
 fn measure(clips: usize, threads: usize, peak: f64, duration: Duration) -> BenchRow {

@@ -17,6 +17,7 @@ use crate::character::{
 };
 use crate::clip::{Clip, ClipSet};
 use crate::error::{Error, Result};
+use crate::stdout::print;
 
 /// What every file begins with; how `--force` tells its own files from a user's.
 const SIGNATURE: &str = "# karakuri character";
@@ -58,20 +59,19 @@ pub fn run(args: &CharacterArgs) -> Result<()> {
     let set = clip_set(args.seed, args.clips_per_action);
     write_folder(&args.out, &set, args.seed)?;
     let frame_count = set.clips.iter().map(|clip| clip.frame_count(&set.layout));
-    println!(
-        "{}: {} clips of {} actions, {:.0} s at {RATE_HZ} Hz, seed {}",
+    print(format_args!(
+        "{}: {} clips of {} actions, {:.0} s at {RATE_HZ} Hz, seed {}\n",
         args.out.display(),
         set.clips.len(),
         action_labels().count(),
         frame_count.sum::<usize>() as f64 / RATE_HZ,
         args.seed,
-    );
-    Ok(())
+    ))
 }
 
 /// Passes a path where nothing is, and with `force` a folder with nothing in it but files of this
 /// command.
-fn check_out(out: &Path, force: bool) -> Result<()> {
+pub(crate) fn check_out(out: &Path, force: bool) -> Result<()> {
     let refuse = |place: &Path, value: &str, remedy: &str| {
         let expected = "a folder that does not exist yet";
         Err(Error::bad_input(place, "--out", value, expected, remedy))

@@ -13,7 +13,7 @@ use serde_json::Value;
 use crate::atomic_file::{self, Overwrite};
 use crate::character;
 use crate::checkpoint::Checkpoint;
-use crate::commands::character::write_folder;
+use crate::commands::character::{check_out, write_folder};
 use crate::commands::quantize::quantize_checkpoint;
 use crate::config::TrainConfig;
 use crate::dataset::{self, Dataset, DatasetOptions};
@@ -24,6 +24,7 @@ use crate::inspect::blob::{BlobReport, load};
 use crate::mixture;
 use crate::picture;
 use crate::reconstruct::{Source, reconstruct};
+use crate::stdout::print;
 use crate::table::{Table, thousands};
 use crate::train::{Progress, Start, TrainOptions, train};
 
@@ -44,7 +45,9 @@ pub struct DemoArgs {
     #[arg(long, default_value_t = 7)]
     pub seed: u64,
     /// Clips of each action.
-    #[arg(long, default_value_t = 16)]
+    #[arg(long, default_value_t = character::DEFAULT_CLIPS_PER_ACTION,
+          value_parser = clap::builder::RangedU64ValueParser::<usize>::new()
+              .range(1..=character::CLIPS_PER_ACTION_MAX as u64))]
     pub clips_per_action: usize,
     /// Remove what an earlier demo left in the folder.
     #[arg(long)]
@@ -60,14 +63,15 @@ struct Product {
 
 /// Generates clips, trains, quantises to every format, generates motions, verifies, and prints the table on stdout.
 pub fn run(args: &DemoArgs) -> Result<()> {
+    let mut config = TrainConfig::preset(&args.preset)?;
+    config.seed = args.seed;
+    config.budget.steps = args.steps;
+    config.check(Path::new("the command line"))?;
     prepare_folder(&args.out, args.force)?;
     eprintln!("1/6  clips of the built-in character");
     let clip_set = character::clip_set(args.seed, args.clips_per_action);
     let clips = args.out.join("clips");
     write_folder(&clips, &clip_set, args.seed)?;
-    let mut config = TrainConfig::preset(&args.preset)?;
-    config.seed = args.seed;
-    config.budget.steps = args.steps;
     let dataset =
         dataset::build(&clip_set, &DatasetOptions { standardization: config.standardization })?;
 
@@ -106,10 +110,9 @@ pub fn run(args: &DemoArgs) -> Result<()> {
     let verdicts: Vec<String> =
         products.iter().map(|product| qemu_verdict(&product.path)).collect();
 
-    println!("{}", summary(args, &dataset, training_s, &checkpoint, motion_count));
-    println!("{}", products_table(&products, &verdicts));
-    println!("{}", parts_table(&products));
-    Ok(())
+    let summary = summary(args, &dataset, training_s, &checkpoint, motion_count);
+    let products_table = products_table(&products, &verdicts);
+    print(format_args!("{summary}\n{products_table}\n{}\n", parts_table(&products)))
 }
 
 fn prepare_folder(out: &Path, force: bool) -> Result<()> {
@@ -125,14 +128,28 @@ fn prepare_folder(out: &Path, force: bool) -> Result<()> {
             "choose another name, or add --force to remove what is in it",
         ));
     }
-    // Only what a demo makes: a mistyped --out must not cost anything else.
-    for made in ["clips", "run", "motions"] {
-        let folder = out.join(made);
-        if folder.exists() {
-            std::fs::remove_dir_all(&folder).map_err(Error::io("remove", &folder))?;
+    // Only what a demo makes, and only beside clips of the character: a mistyped --out must not cost anything else.
+    let made: Vec<PathBuf> = ["clips", "run", "motions"]
+        .map(|name| out.join(name))
+        .into_iter()
+        .filter(|folder| folder.exists())
+        .collect();
+    match made.first() {
+        Some(first) if first.ends_with("clips") => check_out(first, true)?,
+        Some(first) => {
+            let remedy = "choose another --out; --force replaces only what a demo wrote";
+            return Err(Error::bad_input(
+                first,
+                "--out",
+                "without a demo's clips",
+                "a demo's folder",
+                remedy,
+            ));
         }
+        None => (),
     }
-    Ok(())
+    made.iter()
+        .try_for_each(|folder| std::fs::remove_dir_all(folder).map_err(Error::io("remove", folder)))
 }
 
 fn train_demo(dataset: &Dataset, config: &TrainConfig, run: &Path) -> Result<Checkpoint> {

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use crate::atomic_file::Overwrite;
+use crate::atomic_file::{self, Overwrite};
 use crate::checkpoint::Checkpoint;
 use crate::error::{Error, Result};
 use crate::export::{self, ExportFormat, Motion};
@@ -10,6 +10,7 @@ use crate::generate::{Request, generate_blob, generate_float};
 use crate::inspect::blob::{load, read_blob};
 use crate::mixture;
 use crate::picture;
+use crate::stdout::print;
 
 /// Arguments of `generate`.
 #[derive(Clone, Debug, clap::Args)]
@@ -31,7 +32,7 @@ pub struct GenerateArgs {
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
     /// Number of motions.
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=10_000))]
     pub count: u64,
     /// Folder for the files.
     #[arg(long, value_name = "DIR")]
@@ -62,8 +63,7 @@ pub fn run(args: &GenerateArgs) -> Result<()> {
         ));
     }
     let motions = generate_all(args)?;
-    std::fs::create_dir_all(&args.out).map_err(Error::io("create", &args.out))?;
-    let overwrite = Overwrite::from_force(args.force);
+    let mut files = Vec::new();
     for motion in &motions {
         let name = format!(
             "{}_{:.2}s_seed{}.{}",
@@ -72,17 +72,20 @@ pub fn run(args: &GenerateArgs) -> Result<()> {
             motion.seed,
             args.format.extension()
         );
-        for file in export::write(motion, args.format, &args.out.join(name), overwrite)? {
-            println!("{}", file.display());
-        }
+        files.extend(export::encode(motion, args.format, &args.out.join(name))?);
     }
     if args.plot {
         let path = args.out.join(format!("{}_seed{}.svg", args.action, args.seed));
         let title = format!("{}, {} s, from {}", args.action, args.seconds, args.source.display());
-        picture::write(&motions, &title, &path, overwrite)?;
-        println!("{}", path.display());
+        files.push((path, picture::contact_sheet(&motions, &title)?.into_bytes()));
     }
-    Ok(())
+    let overwrite = Overwrite::from_force(args.force);
+    // Before the folder is made: a refusal leaves nothing behind.
+    files.iter().try_for_each(|(file, _)| atomic_file::check(file, overwrite))?;
+    std::fs::create_dir_all(&args.out).map_err(Error::io("create", &args.out))?;
+    export::write_files(&files, overwrite)?;
+    let names: String = files.iter().map(|(file, _)| format!("{}\n", file.display())).collect();
+    print(names)
 }
 
 fn generate_all(args: &GenerateArgs) -> Result<Vec<Motion>> {

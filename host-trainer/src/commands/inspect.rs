@@ -3,6 +3,7 @@
 use crate::commands::inspect_clips::{self, InspectClipsArgs};
 use crate::error::Result;
 use crate::inspect::blob::{BlobReport, read_blob};
+use crate::stdout::{print, print_json};
 
 /// Prints a report on stdout: of a blob when the path ends in `.kara`, of clips otherwise.
 pub fn run(args: &InspectClipsArgs) -> Result<()> {
@@ -11,10 +12,5 @@ pub fn run(args: &InspectClipsArgs) -> Result<()> {
     }
     let blob = read_blob(&args.path)?;
     let report = BlobReport::new(&args.path, &blob)?;
-    if args.json {
-        println!("{}", serde_json::to_string_pretty(&report).unwrap_or_default());
-    } else {
-        print!("{report}");
-    }
-    Ok(())
+    if args.json { print_json(&report) } else { print(report) }
 }

@@ -1,14 +1,14 @@
 //! `host-trainer inspect PATH` on clip files, and the flags by which every verb reads clips.
 
-use std::io::{ErrorKind, Write};
 use std::path::PathBuf;
 
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::import;
 use crate::import::labels::{LabelOptions, LabelSource};
 use crate::import::{Format, ImportOptions};
 use crate::inspect::ClipReport;
 use crate::layout::Unit;
+use crate::stdout::{print, print_json};
 
 /// What clip files do not say themselves.
 #[derive(Clone, Debug, Default, clap::Args)]
@@ -117,17 +117,9 @@ pub fn run(args: &InspectClipsArgs) -> Result<()> {
         ..args.import.options()?
     };
     let report = ClipReport::new(&import::read(&args.path, &options)?);
-    let text = match args.json {
-        true => serde_json::to_string_pretty(&report).map_err(|error| Error::Io {
-            path: "stdout".into(),
-            action: "write",
-            source: error.into(),
-        })?,
-        false => report.to_string(),
-    };
-    match writeln!(std::io::stdout(), "{}", text.trim_end()) {
-        Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(()), // `| head` has seen enough.
-        result => result.map_err(Error::io("write", "stdout")),
+    match args.json {
+        true => print_json(&report),
+        false => print(format_args!("{}\n", report.to_string().trim_end())),
     }
 }
 

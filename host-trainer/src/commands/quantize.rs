@@ -12,6 +12,7 @@ use crate::inspect::blob::BlobReport;
 use crate::mixture;
 use crate::mixture::set::MixtureSet;
 use crate::quantize::{QuantizeInput, Quantized, quantize};
+use crate::stdout::{print, print_json};
 
 /// Arguments of `quantize`.
 #[derive(Clone, Debug, clap::Args)]
@@ -94,20 +95,19 @@ pub fn run(args: &QuantizeArgs) -> Result<()> {
     atomic_file::write(&args.out, &quantized.blob, overwrite)?;
     let report = BlobReport::new(&args.out, &quantized.blob)?;
     if args.json {
-        println!("{}", serde_json::to_string_pretty(&report).unwrap_or_default());
-        return Ok(());
+        return print_json(&report);
     }
-    print!("{report}");
+    print(&report)?;
     if !quantized.accumulator_use.is_empty() {
         let shares: Vec<String> = quantized
             .accumulator_use
             .iter()
             .map(|share| format!("{:.0} %", 100.0 * share))
             .collect();
-        println!(
-            "\naccumulators proven to stay below 2^31, worst row of each layer: {}",
-            shares.join("  ")
-        );
+        let shares = shares.join("  ");
+        print(format_args!(
+            "\naccumulators proven to stay below 2^31, worst row of each layer: {shares}\n"
+        ))?;
     }
     eprintln!("wrote {}", args.out.display());
     Ok(())

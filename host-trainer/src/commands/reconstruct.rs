@@ -10,6 +10,7 @@ use crate::commands::inspect_clips::ImportArgs;
 use crate::error::{Error, Result};
 use crate::inspect::blob::{load, read_blob};
 use crate::reconstruct::{Reconstruction, Source, reconstruct};
+use crate::stdout::{print, print_json};
 use crate::table::{Table, thousands};
 use crate::train::Progress;
 use crate::train::infer_codes::infer_codes;
@@ -28,7 +29,8 @@ pub struct ReconstructArgs {
     #[arg(long, value_name = "FILE.kara")]
     pub blob: Vec<PathBuf>,
     /// Compare every N-th frame.
-    #[arg(long, value_name = "N", default_value_t = 1)]
+    #[arg(long, value_name = "N", default_value_t = 1,
+          value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(1..))]
     pub stride: usize,
     /// One row per joint or servo instead of one per kind.
     #[arg(long)]
@@ -93,15 +95,13 @@ pub fn run(args: &ReconstructArgs) -> Result<()> {
         .flat_map(|(name, source)| sides.iter().map(|side| side.row(name, *source, args.stride)))
         .collect();
     if args.json {
-        println!("{}", serde_json::to_string_pretty(&rows).unwrap_or_default());
-        return Ok(());
+        return print_json(&rows);
     }
     for row in &rows[..sides.len()] {
         let frame_count = thousands(row.reconstruction.frame_count as u64);
-        println!("{}: {} clips, {frame_count} frames", row.clips, row.clip_count);
+        print(format_args!("{}: {} clips, {frame_count} frames\n", row.clips, row.clip_count))?;
     }
-    print!("{}", error_table(&rows, args.per_group));
-    Ok(())
+    print(error_table(&rows, args.per_group))
 }
 
 impl Side {

@@ -12,6 +12,7 @@ use crate::config::TrainConfig;
 use crate::error::{Error, Result};
 use crate::reconstruct::Source;
 use crate::represent::Representation;
+use crate::stdout::print;
 use crate::train::{Progress, Start, TrainOptions, train};
 
 /// What the user types after `train`.
@@ -73,11 +74,10 @@ pub fn run(args: &TrainArgs) -> Result<()> {
         progress: Progress::Bar,
     };
     let checkpoint = train(&data.training.dataset, &config, &args.out, &options)?;
-    println!("{} steps, in {}", checkpoint.state.step, args.out.display());
+    print(format_args!("{} steps, in {}\n", checkpoint.state.step, args.out.display()))?;
     let sides = Side::of(checkpoint, data);
     let rows: Vec<_> = sides.iter().map(|side| side.row("float", Source::Float, 1)).collect();
-    print!("{}", error_table(&rows, false));
-    Ok(())
+    print(error_table(&rows, false))
 }
 
 /// The settings: of the checkpoint when resuming without saying any, otherwise preset, file and flags.
