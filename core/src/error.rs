@@ -1,4 +1,4 @@
-//! What can be wrong with a blob or a request; nothing else in this crate can fail.
+//! What can be wrong with a blob, a request or a servo's calibration; nothing else in this crate can fail.
 
 use core::fmt;
 
@@ -143,3 +143,48 @@ impl fmt::Display for SampleError {
 }
 
 impl core::error::Error for SampleError {}
+
+/// Why servos cannot be driven.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum ServoError {
+    /// The neutral pulse is not between the shortest and the longest. Measure the three again.
+    PulsesOutOfOrder {
+        /// Channel that drives the servo.
+        channel: u16,
+        /// Shortest, neutral and longest pulse as given.
+        pulses_us: [u16; 3],
+    },
+    /// A speed limit of 0: the servo could never move. Give its real speed, or leave the servo out.
+    NoSpeed {
+        /// Channel that drives the servo.
+        channel: u16,
+    },
+    /// More servos than [`SERVOS_MAX`](crate::limits::SERVOS_MAX).
+    TooMany {
+        /// Servos given.
+        count: usize,
+        /// Servos that fit.
+        max: usize,
+    },
+}
+
+impl fmt::Display for ServoError {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self::PulsesOutOfOrder { channel, pulses_us: [min, neutral, max] } => {
+                write!(
+                    out,
+                    "the servo of channel {channel} has pulses of {min}, {neutral} and {max} us, \
+                     expected shortest, neutral, longest"
+                )
+            }
+            Self::NoSpeed { channel } => {
+                write!(out, "the servo of channel {channel} has a speed limit of 0")
+            }
+            Self::TooMany { count, max } => write!(out, "{count} servos, at most {max} fit"),
+        }
+    }
+}
+
+impl core::error::Error for ServoError {}

@@ -9,7 +9,7 @@
 #[cfg(test)]
 extern crate std;
 
-// In the order of the data's journey: bytes, model, code, pose; what they share comes first.
+// In the order of the data's journey: bytes, model, code, pose, servos; what they share comes first.
 pub mod limits;
 pub mod pose_layout;
 mod error;
@@ -35,17 +35,19 @@ mod decoder;
 mod pose;
 #[cfg(feature = "angles")]
 pub mod angles;
+mod servo;
 #[cfg(test)]
 mod specimen;
 
 pub use code::Code;
 pub use decoder::Decoder;
-pub use error::{BlobError, SampleError};
+pub use error::{BlobError, SampleError, ServoError};
 pub use manifest::NumberFormat;
 pub use model::{ActionId, Model};
 pub use pose::Pose;
 pub use pose_layout::{GroupKind, Unit};
 pub use random::Pcg32;
 pub use requantize::Requantizer;
+pub use servo::{ServoCommand, ServoMap, ServoStage};
 pub use time_embedding::FramePosition;
 pub use workspace::Workspace;

@@ -124,26 +124,29 @@ impl<'a> Model<'a> {
 
     /// Groups of the layout, in channel order.
     pub fn groups(&self) -> impl Iterator<Item = Group<'a>> + use<'a> {
-        Names::<Group<'a>>::new(self.names, self.manifest.group_count)
+        self.group_stream()
     }
 
     /// Names of the actions, in the order of [`ActionId`].
     pub fn actions(&self) -> impl Iterator<Item = &'a str> + use<'a> {
-        let groups = Names::<Group<'a>>::new(self.names, self.manifest.group_count);
-        Names::new(groups.trailing(), self.manifest.action_count)
+        self.action_stream()
     }
 
     /// Joints of the skeleton; none when the model has no skeleton.
     pub fn joints(&self) -> impl Iterator<Item = Joint<'a>> + use<'a> {
-        let groups = Names::<Group<'a>>::new(self.names, self.manifest.group_count);
-        let actions = Names::<&str>::new(groups.trailing(), self.manifest.action_count);
-        Names::new(actions.trailing(), self.manifest.joint_count)
+        self.joint_stream()
+    }
+
+    fn group_stream(&self) -> Names<'a, Group<'a>> {
+        Names::new(self.names, self.manifest.group_count)
+    }
+
+    fn action_stream(&self) -> Names<'a, &'a str> {
+        Names::new(self.group_stream().trailing(), self.manifest.action_count)
     }
 
     fn joint_stream(&self) -> Names<'a, Joint<'a>> {
-        let groups = Names::<Group<'a>>::new(self.names, self.manifest.group_count);
-        let actions = Names::<&str>::new(groups.trailing(), self.manifest.action_count);
-        Names::new(actions.trailing(), self.manifest.joint_count)
+        Names::new(self.action_stream().trailing(), self.manifest.joint_count)
     }
 
     /// The action with this name.

@@ -1,7 +1,8 @@
 //! Proves that the chip does what the float model did.
 //!
-//! Two questions, two verbs: does a chip compute the very bits that the host computes (`run`, in QEMU), and how far are
-//! those from the float model that was trained (`compare`)? The modules stand in the order of their journeys.
+//! Three questions, three verbs: does a chip compute the very bits that the host computes (`run`, in QEMU), how far are
+//! those from the float model that was trained (`compare`), and what will the servos be told (`trace`)? The modules stand
+//! in the order of their journeys.
 
 pub mod error;
 
@@ -24,6 +25,9 @@ pub mod rotation;
 pub mod error_table;
 pub mod compare;
 
+// trace: model → poses in virtual time → servo commands
+pub mod trace;
+
 pub mod commands;
 
 #[cfg(test)]
@@ -33,3 +37,4 @@ pub use compare::{Comparison, compare};
 pub use error::{Error, Result};
 pub use parity::{Parity, run_parity};
 pub use target::Target;
+pub use trace::{Trace, trace};

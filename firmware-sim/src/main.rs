@@ -3,7 +3,7 @@
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
-use firmware_sim::commands::{compare, run};
+use firmware_sim::commands::{compare, run, trace};
 
 /// Proves that the chip does what the float model did.
 #[derive(Parser)]
@@ -13,8 +13,8 @@ struct Arguments {
     verb: Verb,
 }
 
-const EXIT_CODES: &str = "Exit codes: 0 equal, 1 a difference beyond the format's promise, 2 wrong usage, 3 bad input, \
-    4 input/output, 5 bad blob, 6 missing tool, 7 firmware failed";
+const EXIT_CODES: &str = "Exit codes: 0 done and equal, 1 a difference beyond the format's promise, \
+    2 wrong usage, 3 bad input, 4 input/output, 5 bad blob, 6 missing tool, 7 firmware failed";
 
 #[derive(Subcommand)]
 enum Verb {
@@ -22,12 +22,15 @@ enum Verb {
     Run(run::RunArgs),
     /// Tabulate the error of a blob against the float model that it was made of
     Compare(compare::CompareArgs),
+    /// Write what the servos of a robot would be told, tick by tick, without a robot
+    Trace(trace::TraceArgs),
 }
 
 fn main() -> ExitCode {
     let outcome = match Arguments::parse().verb {
         Verb::Run(arguments) => run::run(&arguments),
         Verb::Compare(arguments) => compare::run(&arguments).map(|()| true),
+        Verb::Trace(arguments) => trace::run(&arguments).map(|()| true),
     };
     match outcome {
         Ok(true) => ExitCode::SUCCESS,

@@ -15,7 +15,7 @@
 mod tensor_file;
 
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -155,7 +155,7 @@ impl Checkpoint {
         Self::from_bytes(&bytes, &file)
     }
 
-    fn from_bytes(bytes: &[u8], file: &PathBuf) -> Result<Self> {
+    fn from_bytes(bytes: &[u8], file: &Path) -> Result<Self> {
         let reader = TensorReader::parse(bytes, file)?;
         let config = TrainConfig::from_toml(reader.metadata("config")?, file)?;
         let dataset: DatasetDescription = reader.json("dataset")?;
@@ -230,7 +230,8 @@ pub fn dataset_hash(dataset: &Dataset) -> String {
 /// Refuses a description whose parts contradict each other, so that indexing by it cannot fail.
 fn check_description(dataset: &DatasetDescription, file: &Path) -> Result<()> {
     let channel_count = dataset.layout.channel_count();
-    let lost = dataset.clips.iter().find(|clip| clip.action >= dataset.actions.len());
+    let mut clips = dataset.clips.iter().chain(&dataset.held_out);
+    let lost = clips.find(|clip| clip.action >= dataset.actions.len());
     let complaint = if let Some(clip) = lost {
         Some(("clips", format!("action {} of clip {}", clip.action, clip.name)))
     } else if dataset.mean.len() != channel_count || dataset.scale.len() != channel_count {
@@ -283,7 +284,7 @@ mod tests {
             let mut damaged = bytes.clone();
             damaged[place] ^= 0x01;
             // Some changes are harmless (a name in the description); none may panic or change a shape.
-            if let Ok(loaded) = Checkpoint::from_bytes(&damaged, &PathBuf::from("damaged")) {
+            if let Ok(loaded) = Checkpoint::from_bytes(&damaged, Path::new("damaged")) {
                 assert_eq!(loaded.model.parameter_count(), checkpoint.model.parameter_count());
             }
         }

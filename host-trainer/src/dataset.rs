@@ -29,6 +29,9 @@ pub struct DatasetDescription {
     pub actions: Vec<String>,
     /// The clips, in training order: row i of the code table belongs to clip i.
     pub clips: Vec<ClipDescription>,
+    /// Clips of the same source that training does not see; what is known of them here is all that is.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub held_out: Vec<ClipDescription>,
     /// Per channel: value that becomes 0. // (channel)
     pub mean: Vec<f32>,
     /// Per channel: units per 1 of the standardised value; never 0. // (channel)
@@ -116,11 +119,44 @@ pub fn build(clip_set: &ClipSet, options: &DatasetOptions) -> Result<Dataset> {
         layout: clip_set.layout.clone(),
         rate_hz: clip_set.rate_hz,
         clips: describe_clips(clip_set, &actions),
+        held_out: Vec::new(),
         actions,
         mean,
         scale,
         skeleton: clip_set.skeleton.clone(),
     };
+    Ok(standardized(clip_set, description))
+}
+
+/// Puts clips that training does not see on the footing of those that it does, and notes them in `training`.
+///
+/// A channel that is constant in `training` is taken for constant here too.
+///
+/// # Errors
+/// - A clip without an action, with fewer than two poses, or with a value that is not finite.
+/// - An action that no training clip shows.
+pub fn build_held_out(clip_set: &ClipSet, training: &mut Dataset) -> Result<Dataset> {
+    let actions = &training.description.actions;
+    for clip in &clip_set.clips {
+        check_clip(clip, &clip_set.layout)?;
+        if !actions.contains(&clip.action) {
+            return Err(Error::bad_input(
+                &clip.source,
+                "action",
+                &clip.action,
+                format!("one of {}", actions.join(", ")),
+                "hold out only clips of actions that are trained",
+            ));
+        }
+    }
+    let clips = describe_clips(clip_set, actions);
+    training.description.held_out.clone_from(&clips);
+    let description =
+        DatasetDescription { clips, held_out: Vec::new(), ..training.description.clone() };
+    Ok(standardized(clip_set, description))
+}
+
+fn standardized(clip_set: &ClipSet, description: DatasetDescription) -> Dataset {
     let first_rows = description
         .clips
         .iter()
@@ -136,7 +172,7 @@ pub fn build(clip_set: &ClipSet, options: &DatasetOptions) -> Result<Dataset> {
         poses.extend_from_slice(&clip.poses);
     }
     description.standardize(&mut poses);
-    Ok(Dataset { description, poses, first_rows })
+    Dataset { description, poses, first_rows }
 }
 
 fn check_clip(clip: &Clip, layout: &PoseLayout) -> Result<()> {

@@ -13,11 +13,13 @@
 pub mod activation;
 pub mod backward;
 pub mod forward;
+pub mod workspace;
 
 use rand::{Rng, RngExt};
 
 pub use backward::Wanted;
-pub use forward::{Rows, Workspace};
+pub use forward::Rows;
+pub use workspace::Workspace;
 
 /// One fully connected layer: `output = weights · input + bias`.
 #[derive(Clone, Debug, PartialEq)]
@@ -213,8 +215,11 @@ impl FloatModel {
             moment_of_row: &Vec::from_iter(0..times_frames.len()),
         };
         let mut workspace = Workspace::new(self, 1, times_frames.len(), times_frames.len());
-        self.forward(&rows, faer::Par::Seq, &mut workspace);
-        poses.copy_from_slice(workspace.output(times_frames.len()));
+        self.forward(&rows, &mut workspace);
+        for (pose, output) in poses.chunks_exact_mut(self.channel_count()).zip(workspace.outputs())
+        {
+            pose.copy_from_slice(output);
+        }
     }
 }
 

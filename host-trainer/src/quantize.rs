@@ -23,7 +23,7 @@ use crate::dataset::DatasetDescription;
 use crate::error::{Error, Result};
 use crate::float_model::{CodeTable, DenseLayer, FloatModel};
 use crate::mixture::set::MixtureSet;
-use crate::quantize::calibrate::{CalibrationCase, Observed, calibrate};
+use crate::quantize::calibrate::{Observed, calibrate, calibration_cases};
 use crate::quantize::layer::{
     InputScale, IntegerLayer, activation_scale, quantize_layer, requantizer_of,
 };
@@ -73,7 +73,7 @@ pub fn quantize(
     let quantized = match format {
         NumberFormat::F16 => half_layers(&layers)?,
         NumberFormat::W8A16 | NumberFormat::W8A8 => {
-            integer_layers(input, &layers, format, fraction_bits)
+            integer_layers(input, &layers, format, fraction_bits)?
         }
     };
     let mut tensors = sampler.tensors;
@@ -204,8 +204,15 @@ fn integer_layers(
     layers: &[DenseLayer],
     format: NumberFormat,
     fraction_bits: u8,
-) -> QuantizedLayers {
-    let observed = calibrate(input.model, &calibration_cases(input));
+) -> Result<QuantizedLayers> {
+    let cases = calibration_cases(
+        input.sequence_codes,
+        input.action_codes,
+        input.dataset,
+        input.mixtures,
+        input.provenance.seed,
+    )?;
+    let observed = calibrate(input.model, &cases);
     let inputs = input_scales(&observed, format, fraction_bits);
     let mut result =
         QuantizedLayers { shapes: Vec::new(), tensors: Vec::new(), accumulator_use: Vec::new() };
@@ -239,7 +246,7 @@ fn integer_layers(
             .insert(0, quantized.accumulator_use.iter().copied().fold(0.0, f64::max));
         result.tensors.extend(layer_tensors(index, &quantized, &factors));
     }
-    result
+    Ok(result)
 }
 
 /// How the inputs of every layer are stored.
@@ -286,42 +293,6 @@ fn layer_tensors(
         ));
     }
     tensors
-}
-
-/// Clips' own codes and draws from their Gaussians, a few frames of each, at most some thousand decodings.
-fn calibration_cases(input: &QuantizeInput<'_>) -> Vec<CalibrationCase> {
-    const CASES_MAX: usize = 600;
-    const FRAMES: usize = 8;
-    let clips = &input.dataset.clips;
-    let stride = clips.len().div_ceil(CASES_MAX / 2).max(1);
-    let mut random = karakuri::Pcg32::new(input.provenance.seed);
-    let mut cases = Vec::new();
-    for (row, clip) in clips.iter().enumerate().step_by(stride) {
-        let frames: Vec<f64> = (0..FRAMES)
-            .map(|i| (clip.frame_count - 1) as f64 * i as f64 / (FRAMES - 1) as f64)
-            .collect();
-        let alpha =
-            row_of(&input.action_codes.mean, input.action_codes.dimension_count, clip.action);
-        let mean = row_of(&input.sequence_codes.mean, input.sequence_codes.dimension_count, row);
-        let spread =
-            row_of(&input.sequence_codes.log_variance, input.sequence_codes.dimension_count, row);
-        let drawn = mean.iter().zip(spread).map(|(mean, log_variance)| {
-            // Sum of 12 uniforms: a Gaussian good enough to find ranges.
-            let noise: f32 =
-                (0..12).map(|_| random.next_u32() as f32 / u32::MAX as f32).sum::<f32>() - 6.0;
-            mean + noise * (0.5 * log_variance).exp()
-        });
-        let codes = [mean.to_vec(), drawn.collect()];
-        cases.extend(codes.into_iter().map(|mut code| {
-            code.extend(alpha);
-            CalibrationCase { code, frames: frames.clone() }
-        }));
-    }
-    cases
-}
-
-fn row_of(table: &[f32], width: usize, row: usize) -> &[f32] {
-    &table[row * width..(row + 1) * width]
 }
 
 fn frequency_bytes(frequencies_rad: &[f64]) -> Vec<u8> {

@@ -17,6 +17,8 @@ pub enum Purpose {
     Step,
     /// Inputs of `host-trainer bench`.
     Bench,
+    /// Choice of the held-out clips of an action.
+    HoldOut,
 }
 
 /// The generator of one purpose and index.

@@ -1,7 +1,7 @@
-//! How well a decoder gives its training clips back, in units that mean something.
+//! How well a decoder gives clips back, in units that mean something.
 //!
-//! In:  a checkpoint or a blob, with the dataset that it was trained on.
-//! Out: errors per kind of channel group and, for bodies, of the joints in millimetres, root and local apart.
+//! In:  a checkpoint or a blob, with the dataset whose codes it has: that of the training, or held-out clips.
+//! Out: errors per kind of channel group, per group and, for bodies, of the joints in millimetres, root and local apart.
 //!
 //! Why here: the same figures are wanted of the float model and of every number format, so the source of the poses is
 //! the only thing that differs. Mean codes, no noise (published code: evaluation mode).
@@ -14,7 +14,7 @@ use crate::body::Body;
 use crate::body::rotation::{Rotation, Vector, length, subtract};
 use crate::checkpoint::Checkpoint;
 use crate::dataset::{Dataset, DatasetDescription};
-use crate::layout::GroupKind;
+use crate::layout::{Group, GroupKind};
 use crate::train::metrics::report_unit;
 
 /// Where poses come from.
@@ -26,22 +26,24 @@ pub enum Source<'a> {
     Blob(&'a Model<'a>),
 }
 
-/// Errors over every frame of every training clip.
+/// Errors over every frame of every clip.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Reconstruction {
     /// Frames compared.
     pub frame_count: usize,
     /// Per kind and unit of channel group.
+    pub kinds: Vec<GroupError>,
+    /// Per channel group: joint or servo.
     pub groups: Vec<GroupError>,
     /// Of the joints; `None` where the layout is not a body.
     pub joints: Option<JointError>,
 }
 
-/// Errors of all groups of one kind and unit.
+/// Errors of one channel group, or of all groups of one kind and unit.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct GroupError {
-    /// What the channels are.
-    pub kind: &'static str,
+    /// Name of the group or the kind.
+    pub of: String,
     /// `deg`, `mm`, or the channels' own unit.
     pub unit: &'static str,
     /// Root mean square: per channel of scalars, of the length of the difference for vectors, of the angle between
@@ -65,13 +67,21 @@ pub struct JointError {
 #[derive(Default)]
 struct Sums {
     frame_count: usize,
-    /// Sum of squares, sum, count. // (group)
-    groups: Vec<(f64, f64, f64)>,
+    /// // (group)
+    groups: Vec<Magnitudes>,
     joints: JointError,
     joint_count: f64,
 }
 
-/// Decodes every `stride`-th frame of every training clip from its mean code and compares.
+/// What remains of many errors of one channel group.
+#[derive(Clone, Copy, Default)]
+struct Magnitudes {
+    squares: f64,
+    sum: f64,
+    count: f64,
+}
+
+/// Decodes every `stride`-th frame of every clip from its mean code and compares.
 ///
 /// `bones` are the clips' own where rotations were found by inverse kinematics (see `represent_with_bones`), else empty.
 pub fn reconstruct(
@@ -136,14 +146,16 @@ fn compare(
     frames: &[usize],
 ) -> Sums {
     let width = description.layout.channel_count();
-    let mut sums =
-        Sums { groups: vec![(0.0, 0.0, 0.0); description.layout.groups.len()], ..Sums::default() };
+    let mut sums = Sums {
+        groups: vec![Magnitudes::default(); description.layout.groups.len()],
+        ..Sums::default()
+    };
     for (decoded, &frame) in decoded.chunks_exact(width).zip(frames) {
         let original = &original[frame * width..(frame + 1) * width];
         sums.frame_count += 1;
         for (sum, (group, range)) in sums.groups.iter_mut().zip(description.layout.ranges()) {
             let error = group_error(group.kind, &original[range.clone()], &decoded[range]);
-            *sum = (sum.0 + error * error, sum.1 + error, sum.2 + 1.0);
+            sum.add(&Magnitudes { squares: error * error, sum: error, count: 1.0 });
         }
         if let Some(body) = body {
             let joints = |pose| {
@@ -167,6 +179,24 @@ fn group_error(kind: GroupKind, original: &[f32], decoded: &[f32]) -> f64 {
     squares.sum::<f64>().sqrt()
 }
 
+impl Magnitudes {
+    fn add(&mut self, other: &Self) {
+        self.squares += other.squares;
+        self.sum += other.sum;
+        self.count += other.count;
+    }
+
+    fn report(&self, of: &str, (unit, factor): (&'static str, f64)) -> GroupError {
+        let count = self.count.max(1.0);
+        GroupError {
+            of: of.to_owned(),
+            unit,
+            rms: (self.squares / count).sqrt() * factor,
+            mean: self.sum / count * factor,
+        }
+    }
+}
+
 impl Sums {
     fn add_joints(&mut self, original: &[Vector], decoded: &[Vector]) {
         let (Some(&root), Some(&decoded_root)) = (original.first(), decoded.first()) else {
@@ -183,9 +213,9 @@ impl Sums {
 
     fn add(mut self, other: Self) -> Self {
         self.frame_count += other.frame_count;
-        self.groups.resize(other.groups.len().max(self.groups.len()), (0.0, 0.0, 0.0));
+        self.groups.resize(other.groups.len().max(self.groups.len()), Magnitudes::default());
         for (sum, add) in self.groups.iter_mut().zip(other.groups) {
-            *sum = (sum.0 + add.0, sum.1 + add.1, sum.2 + add.2);
+            sum.add(&add);
         }
         self.joints.joint_mm += other.joints.joint_mm;
         self.joints.root_mm += other.joints.root_mm;
@@ -195,26 +225,20 @@ impl Sums {
     }
 
     fn finish(self, description: &DatasetDescription, is_body: bool) -> Reconstruction {
-        let groups = description.layout.groups.iter().zip(self.groups);
-        let mut merged: Vec<(GroupKind, Unit, (f64, f64, f64))> = Vec::new();
-        for (group, sum) in groups {
-            match merged
-                .iter_mut()
-                .find(|(kind, unit, _)| (*kind, *unit) == (group.kind, group.unit))
-            {
-                Some((_, _, all)) => *all = (all.0 + sum.0, all.1 + sum.1, all.2 + sum.2),
-                None => merged.push((group.kind, group.unit, sum)),
+        let groups = || description.layout.groups.iter().zip(&self.groups);
+        let mut kinds: Vec<(GroupKind, Unit, Magnitudes)> = Vec::new();
+        for (group, magnitudes) in groups() {
+            let key = (group.kind, group.unit);
+            match kinds.iter_mut().find(|(kind, unit, _)| (*kind, *unit) == key) {
+                Some((_, _, all)) => all.add(magnitudes),
+                None => kinds.push((group.kind, group.unit, *magnitudes)),
             }
         }
-        let report = |(kind, unit, (squares, sum, count)): (GroupKind, Unit, (f64, f64, f64))| {
-            let (unit, factor) = magnitude_unit(kind, unit);
-            let count = count.max(1.0);
-            GroupError {
-                kind: kind.name(),
-                unit,
-                rms: (squares / count).sqrt() * factor,
-                mean: sum / count * factor,
-            }
+        let of_kind = |(kind, unit, all): &(GroupKind, Unit, Magnitudes)| {
+            all.report(kind.name(), magnitude_unit(*kind, *unit))
+        };
+        let of_group = |(group, all): (&Group, &Magnitudes)| {
+            all.report(&group.name, magnitude_unit(group.kind, group.unit))
         };
         let millimetres = root_unit(description).map_or(1.0, |unit| report_unit(unit).1)
             / self.joint_count.max(1.0);
@@ -225,7 +249,8 @@ impl Sums {
         });
         Reconstruction {
             frame_count: self.frame_count,
-            groups: merged.into_iter().map(report).collect(),
+            kinds: kinds.iter().map(of_kind).collect(),
+            groups: groups().map(of_group).collect(),
             joints,
         }
     }
@@ -240,4 +265,28 @@ fn root_unit(description: &DatasetDescription) -> Option<Unit> {
 fn magnitude_unit(kind: GroupKind, unit: Unit) -> (&'static str, f64) {
     // The difference between rotations is an angle, whatever unit its channels have.
     report_unit(if kind == GroupKind::Rotation6d { Unit::Radian } else { unit })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::train::synthetic::{config, dataset};
+
+    #[test]
+    fn groups_are_reported_apart_and_joined_by_kind_and_unit() {
+        let dataset = dataset();
+        let checkpoint = Checkpoint::start(&dataset, &config(""));
+        let found = reconstruct(&checkpoint, Source::Float, &dataset, &[], 1);
+        let of = |errors: &[GroupError]| -> Vec<String> {
+            errors.iter().map(|error| format!("{} {}", error.of, error.unit)).collect()
+        };
+        assert_eq!(found.frame_count, 106);
+        assert_eq!(of(&found.groups), ["jaw deg", "root mm", "lid deg", "brow deg"]);
+        // The lid's channel is in radians: another unit than that of jaw and brow.
+        assert_eq!(of(&found.kinds), ["scalar deg", "translation mm", "scalar deg"]);
+        let (jaw, brow) = (found.groups[0].rms, found.groups[3].rms);
+        let joined = ((jaw * jaw + brow * brow) / 2.0).sqrt();
+        assert!((found.kinds[0].rms / joined - 1.0).abs() < 1e-9);
+        assert!(found.groups.iter().all(|group| group.mean <= group.rms));
+    }
 }

@@ -10,6 +10,7 @@ use crate::error_table::Rows;
 
 /// What the user typed.
 #[derive(Clone, Debug, clap::Args)]
+#[command(after_help = "Example:\n  firmware-sim compare runs/creature creature.kara")]
 pub struct CompareArgs {
     /// Folder of `host-trainer train`
     run: PathBuf,

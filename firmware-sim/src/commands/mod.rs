@@ -2,6 +2,7 @@
 
 pub mod compare;
 pub mod run;
+pub mod trace;
 
 use std::fs;
 use std::io;

@@ -11,6 +11,7 @@ use crate::target::Target;
 
 /// What the user typed.
 #[derive(Clone, Debug, clap::Args)]
+#[command(after_help = "Example:\n  firmware-sim run creature.kara --target cortex-m4")]
 pub struct RunArgs {
     /// Blob of `host-trainer quantize`
     model: PathBuf,

@@ -85,13 +85,7 @@ pub fn run(args: &BenchArgs) -> Result<()> {
             let peak = peak_gflop_per_s(par);
             for clips in BATCH_CLIPS {
                 eprintln!("measuring {clips} clips on {threads} threads");
-                rows.push(measure(
-                    clips,
-                    threads,
-                    par,
-                    peak,
-                    Duration::from_secs_f64(args.seconds),
-                ));
+                rows.push(measure(clips, threads, peak, Duration::from_secs_f64(args.seconds)));
             }
             Ok(())
         })?;
@@ -105,11 +99,11 @@ pub fn run(args: &BenchArgs) -> Result<()> {
     Ok(())
 }
 
-fn measure(clips: usize, threads: usize, par: Par, peak: f64, duration: Duration) -> BenchRow {
+fn measure(clips: usize, threads: usize, peak: f64, duration: Duration) -> BenchRow {
     const WARM_UP_STEPS: usize = 3;
     const STEPS_MIN: usize = 10;
     let (dataset, config) = (random_dataset(), paper_config(clips));
-    let mut trainer = Trainer::new(Checkpoint::start(&dataset, &config), &dataset, par);
+    let mut trainer = Trainer::new(Checkpoint::start(&dataset, &config), &dataset);
     (0..WARM_UP_STEPS).for_each(|_| trainer.step(1.0));
     let mut times_ms = Vec::new();
     let started = Instant::now();
@@ -209,6 +203,7 @@ fn random_dataset() -> Dataset {
             rate_hz: 20.0,
             actions: (0..ACTION_COUNT).map(|action| format!("action{action}")).collect(),
             clips,
+            held_out: Vec::new(),
             mean: vec![0.0; channel_count],
             scale: vec![1.0; channel_count],
             skeleton: None,
@@ -249,7 +244,7 @@ mod tests {
     #[test]
     fn paper_network_on_every_row_would_be_the_papers_number_of_multiplications() {
         let (dataset, config) = (random_dataset(), paper_config(2));
-        let mut trainer = Trainer::new(Checkpoint::start(&dataset, &config), &dataset, Par::Seq);
+        let mut trainer = Trainer::new(Checkpoint::start(&dataset, &config), &dataset);
         trainer.step(1.0);
         let (rows, moments) = (10, trainer.report.moment_count as u64);
         let weights: usize = trainer.checkpoint.model.layers.iter().map(|l| l.weights.len()).sum();

@@ -23,6 +23,7 @@ const SIGNATURE: &str = "# karakuri character";
 
 /// Writes the built-in character's clips as CSV servo tracks.
 #[derive(Clone, Debug, clap::Args)]
+#[command(after_help = "Example:\n  host-trainer character --out clips --clips-per-action 12")]
 pub struct CharacterArgs {
     /// Folder to make for the clips
     #[arg(long, value_name = "DIR")]

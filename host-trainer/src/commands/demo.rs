@@ -149,8 +149,7 @@ fn train_demo(dataset: &Dataset, config: &TrainConfig, run: &Path) -> Result<Che
 /// RMS over all servo channels.
 fn scalar_error(checkpoint: &Checkpoint, source: Source<'_>, dataset: &Dataset) -> String {
     let reconstruction = reconstruct(checkpoint, source, dataset, &[], 1);
-    let errors =
-        reconstruction.groups.iter().map(|group| format!("{:.3} {}", group.rms, group.unit));
+    let errors = reconstruction.kinds.iter().map(|kind| format!("{:.3} {}", kind.rms, kind.unit));
     errors.collect::<Vec<_>>().join(", ")
 }
 

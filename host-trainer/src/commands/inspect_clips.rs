@@ -91,6 +91,9 @@ impl ImportArgs {
 
 /// Reports what clip files hold.
 #[derive(Clone, Debug, clap::Args)]
+#[command(
+    after_help = "Examples:\n  host-trainer inspect clips --fps 50\n  host-trainer inspect creature.kara"
+)]
 pub struct InspectClipsArgs {
     /// Clip file, folder of clip files, or blob (`.kara`)
     pub path: PathBuf,

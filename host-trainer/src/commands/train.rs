@@ -7,15 +7,18 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use crate::checkpoint::Checkpoint;
 use crate::commands::clips::read_clip_data;
 use crate::commands::inspect_clips::ImportArgs;
-use crate::commands::reconstruct::{Row, error_table};
+use crate::commands::reconstruct::{Side, error_table};
 use crate::config::TrainConfig;
 use crate::error::{Error, Result};
-use crate::reconstruct::{Source, reconstruct};
+use crate::reconstruct::Source;
 use crate::represent::Representation;
 use crate::train::{Progress, Start, TrainOptions, train};
 
 /// What the user types after `train`.
 #[derive(Clone, Debug, clap::Args)]
+#[command(
+    after_help = "Example:\n  host-trainer train clips --preset small --out runs/creature --steps 6000"
+)]
 pub struct TrainArgs {
     /// A clip file, or a folder of clips
     pub clips: PathBuf,
@@ -37,6 +40,9 @@ pub struct TrainArgs {
     /// Train this many minutes; the result depends on the machine's speed
     #[arg(long)]
     pub minutes: Option<f64>,
+    /// Share of each action's clips that training does not see, for the held-out error: 0.2 is a fifth
+    #[arg(long, value_name = "SHARE")]
+    pub hold_out: Option<f64>,
     /// Start of every random stream
     #[arg(long)]
     pub seed: Option<u64>,
@@ -66,10 +72,11 @@ pub fn run(args: &TrainArgs) -> Result<()> {
         resume_command: &resume_command(std::env::args()),
         progress: Progress::Bar,
     };
-    let checkpoint = train(&data.dataset, &config, &args.out, &options)?;
+    let checkpoint = train(&data.training.dataset, &config, &args.out, &options)?;
     println!("{} steps, in {}", checkpoint.state.step, args.out.display());
-    let reconstruction = reconstruct(&checkpoint, Source::Float, &data.dataset, &data.bones, 1);
-    print!("{}", error_table(&[Row { decoder: "float".into(), reconstruction }]));
+    let sides = Side::of(checkpoint, data);
+    let rows: Vec<_> = sides.iter().map(|side| side.row("float", Source::Float, 1)).collect();
+    print!("{}", error_table(&rows, false));
     Ok(())
 }
 
@@ -88,6 +95,9 @@ fn configure(args: &TrainArgs) -> Result<TrainConfig> {
     if let Some(representation) = args.representation {
         config.representation = representation;
     }
+    if let Some(hold_out) = args.hold_out {
+        config.hold_out = hold_out;
+    }
     if let Some(seed) = args.seed {
         config.seed = seed;
     }
@@ -101,11 +111,19 @@ fn configure(args: &TrainArgs) -> Result<TrainConfig> {
     Ok(config)
 }
 
-/// A flag that Ctrl-C and a polite kill set.
+/// As shells report a program that Ctrl-C ended.
+const EXIT_INTERRUPTED: i32 = 130;
+
+/// A flag that Ctrl-C and a polite kill set; a second one ends the program at once, which loses no saved file.
 fn stop_on_interrupt(run: &Path) -> Result<Arc<AtomicBool>> {
     let stop = Arc::new(AtomicBool::new(false));
     let flag = Arc::clone(&stop);
-    ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed))
+    let on_interrupt = move || {
+        if flag.swap(true, Ordering::Relaxed) {
+            std::process::exit(EXIT_INTERRUPTED);
+        }
+    };
+    ctrlc::set_handler(on_interrupt)
         .map_err(|error| Error::io("catch Ctrl-C for", run)(std::io::Error::other(error)))?;
     Ok(stop)
 }

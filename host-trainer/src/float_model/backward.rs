@@ -6,11 +6,17 @@
 //! Why here: layer 1's deltas are summed per code and per moment first, so its products have as few rows as the forward
 //! pass. The time embedding is fixed and needs no gradient.
 
-use faer::{Accum, MatRef, Par};
+use core::ops::Range;
+
+use faer::prelude::ReborrowMut;
+use faer::{Accum, MatRef};
+use rayon::prelude::*;
 
 use super::activation::elu_slope;
-use super::forward::{Rows, Workspace, for_each_row, matrix, matrix_mut, multiply};
+use super::forward::{Rows, matrix, matrix_mut, multiply, multiply_rows};
+use super::workspace::{Block, Workspace};
 use super::{DenseLayer, FloatModel};
+use crate::simd::{self, vectorized};
 
 /// Which gradients a backward pass computes.
 #[derive(Debug)]
@@ -25,113 +31,113 @@ pub struct Wanted<'a> {
 
 impl FloatModel {
     /// Computes the wanted gradients of the batch that `forward` just decoded.
-    pub fn backward(
-        &self,
-        rows: &Rows<'_>,
-        par: Par,
-        workspace: &mut Workspace,
-        mut wanted: Wanted<'_>,
-    ) {
-        let row_count = rows.code_of_row.len();
+    pub fn backward(&self, rows: &Rows<'_>, workspace: &mut Workspace, wanted: Wanted<'_>) {
+        let (_, _, blocks) = workspace.parts_and_blocks();
+        blocks.par_iter_mut().for_each(|block| self.backward_block(block));
+        workspace.sum_first_deltas(rows);
+        if let Some(gradient) = wanted.decoder {
+            self.decoder_gradient(rows, workspace, gradient, wanted.accumulate);
+        }
+        if let Some(gradient) = wanted.codes {
+            let width = self.layers[0].output_count;
+            let code_sum = &workspace.code_part[..rows.codes.len() / self.code_count() * width];
+            let weights = self.layers[0].weight_columns(0..self.code_count());
+            multiply_rows(gradient, code_sum, weights);
+        }
+    }
+
+    /// From the deltas of the last layer to those of the first.
+    fn backward_block(&self, block: &mut Block) {
+        let row_count = block.rows.len();
         for (index, layer) in self.layers.iter().enumerate().skip(1).rev() {
-            let (before, after) = workspace.deltas.split_at_mut(index);
-            let delta = &after[0][..row_count * layer.output_count];
-            let input = &workspace.activations[index - 1][..row_count * layer.input_count];
-            if let Some(gradient) = wanted.decoder.as_deref_mut() {
-                let gradient = &mut gradient[index];
-                let input = matrix(input, layer.input_count);
-                layer_gradient(gradient, 0, delta, input, wanted.accumulate, par);
-                sum_columns(&mut gradient.bias, delta, wanted.accumulate);
-            }
-            let input_delta = &mut before[index - 1][..row_count * layer.input_count];
-            multiply(
-                matrix_mut(input_delta, layer.input_count),
-                Accum::Replace,
-                matrix(delta, layer.output_count),
-                layer.weight_matrix(),
-                par,
-            );
-            for_each_row(input_delta, layer.input_count, |row_index, row| {
-                let outputs = &input[row_index * layer.input_count..][..layer.input_count];
-                for (delta, output) in row.iter_mut().zip(outputs) {
+            let (before, after) = block.layers.split_at_mut(index);
+            let deltas = matrix(after[0].deltas(row_count), layer.output_count);
+            let (outputs, target) = before[index - 1].activations_and_deltas_mut(row_count);
+            let product = matrix_mut(target, layer.input_count);
+            multiply(product, Accum::Replace, deltas, layer.weight_matrix());
+            vectorized(|| {
+                for (delta, output) in target.iter_mut().zip(outputs) {
                     *delta *= elu_slope(*output);
                 }
             });
         }
-        self.backward_first(rows, par, workspace, wanted);
     }
 
-    /// Layer 1: its deltas summed per code and per moment, then the products.
-    fn backward_first(
+    /// Every layer's gradient, layers and groups of their rows shared among the threads.
+    fn decoder_gradient(
         &self,
         rows: &Rows<'_>,
-        par: Par,
-        workspace: &mut Workspace,
-        wanted: Wanted<'_>,
+        workspace: &Workspace,
+        gradient: &mut [DenseLayer],
+        accumulate: Accum,
     ) {
-        let layer = &self.layers[0];
-        let (width, code_count) = (layer.output_count, self.code_count());
-        let delta = &workspace.deltas[0][..rows.code_of_row.len() * width];
-        let code_sum = &mut workspace.code_part[..rows.codes.len() / code_count * width];
-        add_rows_by_index(code_sum, delta, rows.code_of_row, width);
-        if let Some(gradient) = wanted.decoder {
-            let moment_count = rows.tau.len() / self.sinusoid_count();
-            let time_sum = &mut workspace.time_part[..moment_count * width];
-            add_rows_by_index(time_sum, delta, rows.moment_of_row, width);
-            let gradient = &mut gradient[0];
-            let codes = matrix(rows.codes, code_count);
-            let tau = matrix(rows.tau, self.sinusoid_count());
-            layer_gradient(gradient, 0, code_sum, codes, wanted.accumulate, par);
-            layer_gradient(gradient, code_count, time_sum, tau, wanted.accumulate, par);
-            sum_columns(&mut gradient.bias, code_sum, wanted.accumulate);
-        }
-        if let Some(code_gradient) = wanted.codes {
-            multiply(
-                matrix_mut(code_gradient, code_count),
-                Accum::Replace,
-                matrix(code_sum, width),
-                layer.weight_columns(0..code_count),
-                par,
+        let (first, others) = gradient.split_at_mut(1);
+        let code_count = self.code_count();
+        let width = first[0].output_count;
+        let codes = matrix(rows.codes, code_count);
+        let tau = matrix(rows.tau, self.sinusoid_count());
+        let code_sum = &workspace.code_part[..codes.nrows() * width];
+        let time_sum = &workspace.time_part[..tau.nrows() * width];
+        let first_layer = || {
+            let (by_code, by_time) = ([(code_sum, codes)], [(time_sum, tau)]);
+            weight_gradient(&mut first[0], 0..code_count, accumulate, by_code.into_iter());
+            weight_gradient(
+                &mut first[0],
+                code_count..self.layers[0].input_count,
+                accumulate,
+                by_time.into_iter(),
             );
-        }
+            sum_rows(&mut first[0].bias, accumulate, code_sum.chunks_exact(width));
+        };
+        let other_layers = || {
+            others.par_iter_mut().enumerate().for_each(|(before, layer)| {
+                let (input_count, output_count) = (layer.input_count, layer.output_count);
+                let products = workspace.blocks().iter().map(|block| {
+                    let deltas = block.layers[before + 1].deltas(block.rows.len());
+                    let input = block.layers[before].activations(block.rows.len());
+                    (deltas, matrix(input, input_count))
+                });
+                weight_gradient(layer, 0..input_count, accumulate, products.clone());
+                let rows = products.flat_map(|(deltas, _)| deltas.chunks_exact(output_count));
+                sum_rows(&mut layer.bias, accumulate, rows);
+            });
+        };
+        rayon::join(first_layer, other_layers);
     }
 }
 
-/// `deltaᵀ · input`, into the weight gradient's columns from `first_column` on.
-fn layer_gradient(
+/// The sum of `deltasᵀ · input` over the products, into some columns of the weight gradient.
+///
+/// # Shapes
+/// `products`: (deltas (row, out), input (row, column))
+fn weight_gradient<'a>(
     gradient: &mut DenseLayer,
-    first_column: usize,
-    delta: &[f32],
-    input: MatRef<'_, f32>,
+    columns: Range<usize>,
     accumulate: Accum,
-    par: Par,
+    products: impl Iterator<Item = (&'a [f32], MatRef<'a, f32>)> + Clone + Sync,
 ) {
-    let columns = matrix_mut(&mut gradient.weights, gradient.input_count)
-        .subcols_mut(first_column, input.ncols());
-    let delta = matrix(delta, gradient.output_count).transpose();
-    multiply(columns, accumulate, delta, input, par);
+    const OUTPUTS_PER_TASK: usize = 64;
+    let (input_count, output_count) = (gradient.input_count, gradient.output_count);
+    let tasks = gradient.weights.par_chunks_mut(OUTPUTS_PER_TASK * input_count).enumerate();
+    tasks.for_each(|(task, weights)| {
+        let mut accumulate = accumulate;
+        let mut target = matrix_mut(weights, input_count).subcols_mut(columns.start, columns.len());
+        for (deltas, input) in products.clone() {
+            let outputs = matrix(deltas, output_count)
+                .subcols(task * OUTPUTS_PER_TASK, target.nrows())
+                .transpose();
+            multiply(target.rb_mut(), accumulate, outputs, input);
+            accumulate = Accum::Add;
+        }
+    });
 }
 
-/// The sum of all rows, in row order.
-fn sum_columns(sums: &mut [f32], rows: &[f32], accumulate: Accum) {
+/// The sum of all rows, in their order.
+fn sum_rows<'a>(sum: &mut [f32], accumulate: Accum, rows: impl Iterator<Item = &'a [f32]>) {
     if accumulate == Accum::Replace {
-        sums.fill(0.0);
+        sum.fill(0.0);
     }
-    for row in rows.chunks_exact(sums.len()) {
-        for (sum, value) in sums.iter_mut().zip(row) {
-            *sum += value;
-        }
-    }
-}
-
-/// Replaces each sum by that of the rows which name it, in row order.
-fn add_rows_by_index(sums: &mut [f32], rows: &[f32], index_of_row: &[usize], width: usize) {
-    sums.fill(0.0);
-    for (row, &index) in rows.chunks_exact(width).zip(index_of_row) {
-        for (sum, value) in sums[index * width..][..width].iter_mut().zip(row) {
-            *sum += value;
-        }
-    }
+    rows.for_each(|row| simd::add(sum, row));
 }
 
 #[cfg(test)]
@@ -182,7 +188,7 @@ mod tests {
     }
 
     /// Loss and gradients by the engine.
-    fn engine_gradients(model: &FloatModel, par: Par) -> (f64, Vec<DenseLayer>, Vec<f32>) {
+    fn engine_gradients(model: &FloatModel) -> (f64, Vec<DenseLayer>, Vec<f32>) {
         let mut tau = vec![0.0; TIMES_FRAMES.len() * 4];
         for (row, time) in tau.chunks_exact_mut(4).zip(TIMES_FRAMES) {
             model.embed_time(time, row);
@@ -194,10 +200,10 @@ mod tests {
             moment_of_row: &MOMENT_OF_ROW,
         };
         let mut workspace = Workspace::new(model, 2, 3, 5);
-        model.forward(&rows, par, &mut workspace);
-        let (poses, deltas) = workspace.output_and_delta(5);
-        deltas.copy_from_slice(poses);
-        let loss = 0.5 * poses.iter().map(|pose| f64::from(pose * pose)).sum::<f64>();
+        model.forward(&rows, &mut workspace);
+        let poses = workspace.outputs().flatten();
+        let loss = 0.5 * poses.map(|pose| f64::from(pose * pose)).sum::<f64>();
+        workspace.outputs_and_deltas().for_each(|(pose, delta)| delta.copy_from_slice(pose));
         let mut decoder: Vec<_> = model.layers.iter().map(DenseLayer::zeros_like).collect();
         let mut codes = vec![0.0; CODES.len()];
         let wanted = Wanted {
@@ -205,7 +211,7 @@ mod tests {
             accumulate: Accum::Replace,
             codes: Some(&mut codes),
         };
-        model.backward(&rows, par, &mut workspace, wanted);
+        model.backward(&rows, &mut workspace, wanted);
         (loss, decoder, codes)
     }
 
@@ -217,14 +223,14 @@ mod tests {
     #[test]
     fn loss_equals_the_f64_reference() {
         let model = small_model();
-        let (loss, _, _) = engine_gradients(&model, Par::Seq);
+        let (loss, _, _) = engine_gradients(&model);
         assert!((loss - reference_loss(&model, &CODES.map(f64::from))).abs() < 1e-6);
     }
 
     #[test]
     fn weight_and_bias_gradients_equal_finite_differences() {
         let model = small_model();
-        let (_, gradient, _) = engine_gradients(&model, Par::Seq);
+        let (_, gradient, _) = engine_gradients(&model);
         let codes = CODES.map(f64::from);
         // The difference quotient uses the step as f32 really made it, so only the f64 reference's own error is left.
         let quotient = |place: &dyn Fn(&mut FloatModel) -> &mut f32| {
@@ -249,7 +255,7 @@ mod tests {
     #[test]
     fn code_gradient_equals_finite_differences() {
         let model = small_model();
-        let (_, _, gradient) = engine_gradients(&model, Par::Seq);
+        let (_, _, gradient) = engine_gradients(&model);
         for (index, slope) in gradient.into_iter().enumerate() {
             let moved = |step: f64| {
                 let mut codes = CODES.map(f64::from);
@@ -264,7 +270,7 @@ mod tests {
     #[test]
     fn accumulated_gradient_is_the_sum() {
         let model = small_model();
-        let (_, once, _) = engine_gradients(&model, Par::Seq);
+        let (_, once, _) = engine_gradients(&model);
         let rows = Rows {
             codes: &CODES,
             tau: &[0.1; 12],
@@ -272,15 +278,14 @@ mod tests {
             moment_of_row: &MOMENT_OF_ROW,
         };
         let mut workspace = Workspace::new(&model, 2, 3, 5);
-        model.forward(&rows, Par::Seq, &mut workspace);
-        let (poses, deltas) = workspace.output_and_delta(5);
-        deltas.copy_from_slice(poses);
+        model.forward(&rows, &mut workspace);
+        workspace.outputs_and_deltas().for_each(|(pose, delta)| delta.copy_from_slice(pose));
         let mut alone = once.clone();
         let mut sum = once.clone();
         for (gradient, accumulate) in [(&mut alone, Accum::Replace), (&mut sum, Accum::Add)] {
             let wanted = Wanted { decoder: Some(gradient), accumulate, codes: None };
             let mut workspace = workspace.clone();
-            model.backward(&rows, Par::Seq, &mut workspace, wanted);
+            model.backward(&rows, &mut workspace, wanted);
         }
         for layer in 0..once.len() {
             for unit in 0..once[layer].bias.len() {

@@ -323,6 +323,7 @@ mod tests {
                 rate_hz: 50.0,
                 actions: vec!["bow".into()],
                 clips: (0..12).map(clip).collect(),
+                held_out: Vec::new(),
                 mean: Vec::new(),
                 scale: Vec::new(),
                 skeleton: None,

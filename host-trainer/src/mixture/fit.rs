@@ -251,6 +251,7 @@ mod tests {
             rate_hz: 20.0,
             actions: vec!["bow".into(), "nod".into()],
             clips: (0..clip_count).map(clip).collect(),
+            held_out: Vec::new(),
             mean: Vec::new(),
             scale: Vec::new(),
             skeleton: None,

@@ -151,6 +151,7 @@ mod tests {
                     frame_count,
                 })
                 .collect(),
+            held_out: Vec::new(),
             mean: Vec::new(),
             scale: Vec::new(),
             skeleton: None,

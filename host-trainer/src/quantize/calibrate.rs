@@ -1,14 +1,19 @@
 //! Station 6a: which values flow through the decoder, so that the quantiser can choose scales.
 //!
-//! In:  the float model, and codes like those the device will see: the clips' own and draws around them.
+//! In:  the float model, and codes like those the device will see: the clips' own and mixture draws.
 //! Out: the values at the input of every layer, as ranges, means and histograms.
 //!
 //! Why here: post-training quantisation needs nothing of the training poses but the activations they cause, and those
 //! follow from codes and times alone.
 
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
-use crate::float_model::{DenseLayer, FloatModel};
+use crate::dataset::DatasetDescription;
+use crate::error::Result;
+use crate::float_model::{CodeTable, DenseLayer, FloatModel};
+use crate::mixture::set::MixtureSet;
 
 /// One decoding to observe.
 #[derive(Clone, Debug, PartialEq)]
@@ -17,6 +22,39 @@ pub struct CalibrationCase {
     pub code: Vec<f32>,
     /// Frame positions to decode.
     pub frames: Vec<f64>,
+}
+
+/// Clips calibrated on, at most; more hardly move a range and take long at the paper's size.
+const CLIP_COUNT_MAX: usize = 300;
+/// Frames of each case, evenly spaced over the clip.
+const FRAME_COUNT: usize = 8;
+
+/// Every clip's own code, and a draw from the mixture for its action and length.
+///
+/// # Errors
+/// Those of [`MixtureSet::sample`]; none for the mixtures of the same dataset.
+pub fn calibration_cases(
+    sequence_codes: &CodeTable,
+    action_codes: &CodeTable,
+    dataset: &DatasetDescription,
+    mixtures: &MixtureSet,
+    seed: u64,
+) -> Result<Vec<CalibrationCase>> {
+    let stride = dataset.clips.len().div_ceil(CLIP_COUNT_MAX).max(1);
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let mut cases = Vec::new();
+    for (row, clip) in dataset.clips.iter().enumerate().step_by(stride) {
+        let last = (clip.frame_count - 1) as f64;
+        let frames: Vec<f64> =
+            (0..FRAME_COUNT).map(|i| last * i as f64 / (FRAME_COUNT - 1) as f64).collect();
+        let drawn = mixtures.sample(clip.action, clip.frame_count, &mut random)?;
+        let drawn: Vec<f32> = drawn.into_iter().map(|value| value as f32).collect();
+        for sequence_code in [sequence_codes.mean_of(row), &drawn] {
+            let code = [sequence_code, action_codes.mean_of(clip.action)].concat();
+            cases.push(CalibrationCase { code, frames: frames.clone() });
+        }
+    }
+    Ok(cases)
 }
 
 /// Inputs of one layer over all cases.

@@ -95,7 +95,7 @@ fn quantize_row_at(
     let bias = real_bias as i64 - i64::from(input.zero_point) * sum;
     let accumulator_max = magnitude * input.magnitude_max + bias.abs();
     let fits = real_bias.abs() < 2f64.powi(31) && accumulator_max <= i64::from(i32::MAX);
-    fits.then(|| Row { weights: stored, bias: bias as i32, scale, accumulator_max })
+    fits.then_some(Row { weights: stored, bias: bias as i32, scale, accumulator_max })
 }
 
 /// The stored form of a real factor: the nearest multiplier and shift.

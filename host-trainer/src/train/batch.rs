@@ -69,7 +69,7 @@ pub struct StepPosition {
 impl StepPosition {
     /// The position of a step; a pass is cut into batches of equal size, as far as that is possible.
     pub fn of_step(step: u64, clip_count: usize, config: &TrainConfig) -> Self {
-        let batch_count = clip_count.div_ceil(config.batch.clips);
+        let batch_count = Self::batch_count(clip_count, config);
         let (pass, batch) = (step / batch_count as u64, (step % batch_count as u64) as usize);
         let joint = config.update.order == UpdateOrder::Joint;
         Self {
@@ -81,9 +81,14 @@ impl StepPosition {
         }
     }
 
+    /// Batches of a pass.
+    pub fn batch_count(clip_count: usize, config: &TrainConfig) -> usize {
+        clip_count.div_ceil(config.batch.clips)
+    }
+
     /// Clips of the largest batch.
     pub fn clips_max(clip_count: usize, config: &TrainConfig) -> usize {
-        clip_count.div_ceil(clip_count.div_ceil(config.batch.clips))
+        clip_count.div_ceil(Self::batch_count(clip_count, config))
     }
 }
 

@@ -13,6 +13,7 @@ use rayon::prelude::*;
 
 use crate::config::AdamConfig;
 use crate::float_model::{CodeTable, DenseLayer};
+use crate::simd::vectorized;
 
 /// Running moments of the decoder's gradient.
 #[derive(Clone, Debug, PartialEq)]
@@ -130,14 +131,17 @@ impl Adam {
 impl StepFactors {
     fn step(&self, values: &mut [f32], gradient: &[f32], first: &mut [f32], second: &mut [f32]) {
         let Adam { beta1, beta2, epsilon } = self.adam;
-        for (((value, gradient), first), second) in
-            values.iter_mut().zip(gradient).zip(first).zip(second)
-        {
-            let gradient = gradient * self.gradient_scale;
-            *first = beta1 * *first + (1.0 - beta1) * gradient;
-            *second = beta2 * *second + (1.0 - beta2) * gradient * gradient;
-            *value -= self.rate * *first / (second.sqrt() * self.root_scale + epsilon);
-        }
+        let StepFactors { rate, root_scale, gradient_scale, .. } = *self;
+        vectorized(|| {
+            let moments = first.iter_mut().zip(second);
+            for ((value, gradient), (first, second)) in values.iter_mut().zip(gradient).zip(moments)
+            {
+                let gradient = gradient * gradient_scale;
+                *first = beta1 * *first + (1.0 - beta1) * gradient;
+                *second = beta2 * *second + (1.0 - beta2) * gradient * gradient;
+                *value -= rate * *first / (second.sqrt() * root_scale + epsilon);
+            }
+        });
     }
 
     fn step_parallel(

@@ -5,13 +5,14 @@
 //!
 //! Source: Cervantes et al., ECCV 2022, equations 2 to 4, and the published code where the presets say so.
 
-use faer::{Accum, Par};
+use faer::Accum;
 
 use crate::checkpoint::Checkpoint;
-use crate::config::{CodeRows, DecoderStep, Reduction};
+use crate::config::{CodeRows, DecoderStep, Reduction, TrainConfig};
 use crate::dataset::Dataset;
 use crate::float_model::{CodeTable, Wanted, Workspace};
 use crate::layout::PoseLayout;
+use crate::simd::vectorized;
 use crate::train::batch::{Batch, StepPosition};
 use crate::train::optimizer::{Adam, CodeMoments, clip_scale, sum_of_squares};
 
@@ -38,7 +39,6 @@ pub struct Trainer<'a> {
     /// What the last step measured.
     pub report: StepReport,
     dataset: &'a Dataset,
-    par: Par,
     batch: Batch,
     workspace: Workspace,
     /// Weight of each channel's mean squared error in the loss. // (channel)
@@ -53,7 +53,7 @@ pub struct Trainer<'a> {
 
 impl<'a> Trainer<'a> {
     /// Allocates every buffer; no step allocates afterwards.
-    pub fn new(checkpoint: Checkpoint, dataset: &'a Dataset, par: Par) -> Self {
+    pub fn new(checkpoint: Checkpoint, dataset: &'a Dataset) -> Self {
         let batch = Batch::new(dataset, &checkpoint.config, &checkpoint.model);
         let layout = &dataset.description.layout;
         let clips_max =
@@ -64,7 +64,6 @@ impl<'a> Trainer<'a> {
                 ..StepReport::default()
             },
             dataset,
-            par,
             workspace: batch.workspace(&checkpoint.model),
             batch,
             channel_weights: channel_weights(layout, checkpoint.config.loss.reduction),
@@ -83,11 +82,22 @@ impl<'a> Trainer<'a> {
         self.differentiate(&position);
         self.collect_code_gradients();
         if position.moves_codes {
-            self.move_codes(rate_factor);
+            self.move_action_codes(rate_factor);
+            self.move_sequence_codes(rate_factor);
         }
         if position.moves_decoder && self.decoder_is_due(&position) {
             self.move_decoder(rate_factor);
         }
+        self.checkpoint.state.step += 1;
+    }
+
+    /// As [`step`](Self::step), but moves β alone: so the code of a clip is found that training did not see.
+    pub fn step_sequence_codes(&mut self, rate_factor: f64) {
+        let position = StepPosition { moves_codes: true, moves_decoder: false, ..self.draw() };
+        self.evaluate();
+        self.differentiate(&position);
+        self.collect_code_gradients();
+        self.move_sequence_codes(rate_factor);
         self.checkpoint.state.step += 1;
     }
 
@@ -98,26 +108,27 @@ impl<'a> Trainer<'a> {
 
     /// Decodes the batch; leaves the loss's gradient by the poses in the workspace.
     fn evaluate(&mut self) {
-        self.checkpoint.model.forward(&self.batch.rows(), self.par, &mut self.workspace);
-        let row_count = self.batch.target_rows.len();
-        let channel_count = self.channel_weights.len();
-        self.report.row_count = row_count;
-        self.report.moment_count = self.batch.moment_count();
-        self.report.squared_errors.fill(0.0);
-        let (poses, deltas) = self.workspace.output_and_delta(row_count);
-        let rows = poses.chunks_exact(channel_count).zip(deltas.chunks_exact_mut(channel_count));
-        for ((pose, delta), &target_row) in rows.zip(&self.batch.target_rows) {
-            let target = &self.dataset.poses[target_row * channel_count..][..channel_count];
-            for channel in 0..channel_count {
-                let error = pose[channel] - target[channel];
-                delta[channel] = error * self.channel_weights[channel] * (2.0 / row_count as f32);
-                self.report.squared_errors[channel] += f64::from(error * error);
-            }
+        let Self { report, batch, workspace, channel_weights, .. } = self;
+        self.checkpoint.model.forward(&batch.rows(), workspace);
+        let row_count = batch.target_rows.len();
+        (report.row_count, report.moment_count) = (row_count, batch.moment_count());
+        report.squared_errors.fill(0.0);
+        let slope = 2.0 / row_count as f32;
+        for ((pose, delta), &row) in workspace.outputs_and_deltas().zip(&batch.target_rows) {
+            let target = &self.dataset.poses[row * pose.len()..][..pose.len()];
+            vectorized(|| {
+                let channels = delta.iter_mut().zip(&mut report.squared_errors);
+                let values = pose.iter().zip(target).zip(channel_weights.iter());
+                for ((delta, squares), ((pose, target), weight)) in channels.zip(values) {
+                    let error = pose - target;
+                    *delta = error * weight * slope;
+                    *squares += f64::from(error * error);
+                }
+            });
         }
         let weighted = |(sum, weight): (&f64, &f32)| sum * f64::from(*weight);
-        let sum: f64 =
-            self.report.squared_errors.iter().zip(&self.channel_weights).map(weighted).sum();
-        self.report.reconstruction = sum / row_count as f64;
+        let sum: f64 = report.squared_errors.iter().zip(&*channel_weights).map(weighted).sum();
+        report.reconstruction = sum / row_count as f64;
     }
 
     /// The gradients that this step needs, and no others.
@@ -131,7 +142,7 @@ impl<'a> Trainer<'a> {
             accumulate: if sums { Accum::Add } else { Accum::Replace },
             codes: position.moves_codes.then_some(drawn_gradient),
         };
-        model.backward(&self.batch.rows(), self.par, &mut self.workspace, wanted);
+        model.backward(&self.batch.rows(), &mut self.workspace, wanted);
     }
 
     /// Turns the gradient by drawn codes into that by means and log-variances, and adds that of the KL terms.
@@ -177,21 +188,21 @@ impl<'a> Trainer<'a> {
         self.report.divergence = divergence;
     }
 
-    fn move_codes(&mut self, rate_factor: f64) {
-        let Checkpoint { config, sequence_codes, action_codes, optimizer, .. } =
-            &mut self.checkpoint;
+    fn move_action_codes(&mut self, rate_factor: f64) {
+        let Checkpoint { config, action_codes, optimizer, .. } = &mut self.checkpoint;
         self.action_in_batch.fill(config.update.code_rows == CodeRows::Dense);
         for &action in &self.batch.actions {
             self.action_in_batch[action] = true;
         }
-        let step = CodeStep {
-            adam: Adam::new(&config.adam),
-            learning_rate: config.adam.code_learning_rate * rate_factor,
-            norm_max: config.update.gradient_norm_max,
-        };
+        let step = CodeStep::new(config, rate_factor);
         let in_batch = &self.action_in_batch;
         let actions = (0..in_batch.len()).filter(|&action| in_batch[action]);
         step.run(action_codes, &self.action_gradient, &mut optimizer.action_codes, actions);
+    }
+
+    fn move_sequence_codes(&mut self, rate_factor: f64) {
+        let Checkpoint { config, sequence_codes, optimizer, .. } = &mut self.checkpoint;
+        let step = CodeStep::new(config, rate_factor);
         let moments = &mut optimizer.sequence_codes;
         if config.update.code_rows == CodeRows::Dense {
             let rows = 0..sequence_codes.row_count();
@@ -274,6 +285,14 @@ struct CodeStep {
 }
 
 impl CodeStep {
+    fn new(config: &TrainConfig, rate_factor: f64) -> Self {
+        Self {
+            adam: Adam::new(&config.adam),
+            learning_rate: config.adam.code_learning_rate * rate_factor,
+            norm_max: config.update.gradient_norm_max,
+        }
+    }
+
     fn run(
         &self,
         table: &mut CodeTable,
@@ -347,7 +366,7 @@ mod tests {
 
     /// The loss at step 0, with every parameter moved by the caller and the same random numbers every time.
     fn loss_of(dataset: &Dataset, checkpoint: &Checkpoint) -> f64 {
-        let mut trainer = Trainer::new(checkpoint.clone(), dataset, Par::Seq);
+        let mut trainer = Trainer::new(checkpoint.clone(), dataset);
         trainer.draw();
         trainer.evaluate();
         trainer.collect_code_gradients();
@@ -363,7 +382,7 @@ mod tests {
             for (index, mean) in checkpoint.sequence_codes.mean.iter_mut().enumerate() {
                 *mean = (index as f32).sin();
             }
-            let mut trainer = Trainer::new(checkpoint.clone(), &dataset, Par::Seq);
+            let mut trainer = Trainer::new(checkpoint.clone(), &dataset);
             let position = trainer.draw();
             trainer.evaluate();
             trainer.differentiate(&position);
@@ -408,7 +427,7 @@ mod tests {
     #[test]
     fn alternating_passes_move_codes_then_weights() {
         let (dataset, config) = (dataset(), config("[update]\norder = 'alternate'"));
-        let mut trainer = Trainer::new(Checkpoint::start(&dataset, &config), &dataset, Par::Seq);
+        let mut trainer = Trainer::new(Checkpoint::start(&dataset, &config), &dataset);
         let start = trainer.checkpoint.clone();
         (0..3).for_each(|_| trainer.step(1.0));
         assert_eq!(trainer.checkpoint.model, start.model);
@@ -422,7 +441,7 @@ mod tests {
     #[test]
     fn summed_gradient_moves_weights_once_a_pass() {
         let (dataset, config) = (dataset(), config("[update]\ndecoder_step = 'epoch'"));
-        let mut trainer = Trainer::new(Checkpoint::start(&dataset, &config), &dataset, Par::Seq);
+        let mut trainer = Trainer::new(Checkpoint::start(&dataset, &config), &dataset);
         let start = trainer.checkpoint.model.clone();
         (0..2).for_each(|_| trainer.step(1.0));
         assert_eq!(trainer.checkpoint.model, start);

@@ -37,6 +37,7 @@ pub fn dataset() -> Dataset {
             rate_hz: 50.0,
             actions: vec!["nod".into(), "wave".into()],
             clips: clips.collect(),
+            held_out: Vec::new(),
             mean: vec![0.0; 6],
             scale: vec![2.0, 0.1, 0.1, 0.1, 0.5, 2.0],
             skeleton: None,

@@ -1,0 +1,213 @@
+//! The buffers that the forward and backward pass share.
+//!
+//! Why here: the rows of a batch are cut into blocks, and a block goes through all layers on one thread. So a pass meets
+//! its threads once instead of once a layer, and the result does not depend on their number, because the blocks do not.
+
+use core::ops::Range;
+
+use rayon::prelude::*;
+
+use super::FloatModel;
+use super::forward::Rows;
+use crate::simd;
+
+/// Most rows of a block: few enough that a batch feeds several threads, many enough that reading a layer's weights pays.
+const BLOCK_ROWS_MAX: usize = 128;
+
+/// All buffers that the passes need; sized once for the largest batch.
+#[derive(Clone, Debug)]
+pub struct Workspace {
+    /// W_c·code; backward: the sum of layer 1's deltas over the rows of a code. // (code, unit of layer 1)
+    pub(super) code_part: Vec<f32>,
+    /// W_τ·τ; backward: the sum of layer 1's deltas over the rows of a moment. // (moment, unit of layer 1)
+    pub(super) time_part: Vec<f32>,
+    rows_of_code: Groups,
+    rows_of_moment: Groups,
+    blocks: Vec<Block>,
+    block_count: usize,
+}
+
+/// Consecutive rows of a batch.
+#[derive(Clone, Debug)]
+pub(super) struct Block {
+    /// Which rows of the batch.
+    pub rows: Range<usize>,
+    /// Per layer.
+    pub layers: Vec<BlockLayer>,
+}
+
+/// What a block keeps of one layer.
+#[derive(Clone, Debug)]
+pub(super) struct BlockLayer {
+    width: usize,
+    /// Output of the layer; of the last one: the poses. // (row of the block, unit)
+    activations: Vec<f32>,
+    /// Gradient of the loss by the layer's sums before their activation. // (row of the block, unit)
+    deltas: Vec<f32>,
+}
+
+/// The rows of every code, or of every moment.
+#[derive(Clone, Debug, Default)]
+struct Groups {
+    /// Where each group's rows start in `rows`; one number more than groups. // (group + 1)
+    starts: Vec<usize>,
+    /// Row numbers, group after group, ascending in each.
+    rows: Vec<usize>,
+}
+
+impl Workspace {
+    /// Buffers for at most this many codes, moments and rows.
+    pub fn new(model: &FloatModel, codes_max: usize, moments_max: usize, rows_max: usize) -> Self {
+        let first_width = model.layers.first().map_or(0, |layer| layer.output_count);
+        let rows_of_block = rows_max.min(BLOCK_ROWS_MAX);
+        let layer = |width: usize| BlockLayer {
+            width,
+            activations: vec![0.0; rows_of_block * width],
+            deltas: vec![0.0; rows_of_block * width],
+        };
+        let layers = model.layers.iter().map(|dense| layer(dense.output_count)).collect();
+        Self {
+            code_part: vec![0.0; codes_max * first_width],
+            time_part: vec![0.0; moments_max * first_width],
+            rows_of_code: Groups::with_capacity(codes_max, rows_max),
+            rows_of_moment: Groups::with_capacity(moments_max, rows_max),
+            blocks: vec![Block { rows: 0..0, layers }; rows_max.div_ceil(BLOCK_ROWS_MAX)],
+            block_count: 0,
+        }
+    }
+
+    /// Cuts a batch of this many rows into blocks of nearly equal size.
+    pub(super) fn cut(&mut self, row_count: usize) {
+        let block_count = row_count.div_ceil(BLOCK_ROWS_MAX);
+        for (index, block) in self.blocks[..block_count].iter_mut().enumerate() {
+            block.rows = index * row_count / block_count..(index + 1) * row_count / block_count;
+        }
+        self.block_count = block_count;
+    }
+
+    /// The blocks of the present batch.
+    pub(super) fn blocks(&self) -> &[Block] {
+        &self.blocks[..self.block_count]
+    }
+
+    /// The parts of layer 1 by code and by moment, and the blocks that they are for.
+    pub(super) fn parts_and_blocks(&mut self) -> (&[f32], &[f32], &mut [Block]) {
+        (&self.code_part, &self.time_part, &mut self.blocks[..self.block_count])
+    }
+
+    /// Layer 1's deltas, summed per code and per moment, in the place of the forward pass's parts.
+    pub(super) fn sum_first_deltas(&mut self, rows: &Rows<'_>) {
+        let blocks = &self.blocks[..self.block_count];
+        self.rows_of_code.sort(rows.code_of_row);
+        self.rows_of_moment.sort(rows.moment_of_row);
+        sum_by_group(&mut self.code_part, blocks, &self.rows_of_code);
+        sum_by_group(&mut self.time_part, blocks, &self.rows_of_moment);
+    }
+
+    /// The poses of the last forward pass, row by row. // each (channel)
+    pub fn outputs(&self) -> impl Iterator<Item = &[f32]> {
+        self.blocks().iter().flat_map(|block| {
+            let last = &block.layers[block.layers.len() - 1];
+            last.activations.chunks_exact(last.width).take(block.rows.len())
+        })
+    }
+
+    /// Row by row the pose, and the place for the loss's gradient by it that starts the backward pass. // (channel) each
+    pub fn outputs_and_deltas(&mut self) -> impl Iterator<Item = (&[f32], &mut [f32])> {
+        self.blocks[..self.block_count].iter_mut().flat_map(|block| {
+            let last = block.layers.len() - 1;
+            let BlockLayer { width, activations, deltas } = &mut block.layers[last];
+            let rows = activations.chunks_exact(*width).zip(deltas.chunks_exact_mut(*width));
+            rows.take(block.rows.len())
+        })
+    }
+}
+
+impl BlockLayer {
+    /// The outputs of the first rows. // (row, unit)
+    pub fn activations(&self, row_count: usize) -> &[f32] {
+        &self.activations[..row_count * self.width]
+    }
+
+    /// The outputs of the first rows, to be written. // (row, unit)
+    pub fn activations_mut(&mut self, row_count: usize) -> &mut [f32] {
+        &mut self.activations[..row_count * self.width]
+    }
+
+    /// The deltas of the first rows. // (row, unit)
+    pub fn deltas(&self, row_count: usize) -> &[f32] {
+        &self.deltas[..row_count * self.width]
+    }
+
+    /// The outputs, and the deltas to be written. // (row, unit) each
+    pub fn activations_and_deltas_mut(&mut self, row_count: usize) -> (&[f32], &mut [f32]) {
+        let len = row_count * self.width;
+        (&self.activations[..len], &mut self.deltas[..len])
+    }
+}
+
+impl Groups {
+    fn with_capacity(groups_max: usize, rows_max: usize) -> Self {
+        Self { starts: Vec::with_capacity(groups_max + 1), rows: Vec::with_capacity(rows_max) }
+    }
+
+    /// Sorts rows by their group, keeping their order inside each.
+    fn sort(&mut self, group_of_row: &[usize]) {
+        let group_count = group_of_row.iter().max().map_or(0, |last| last + 1);
+        self.starts.clear();
+        self.starts.resize(group_count + 1, 0);
+        for &group in group_of_row {
+            self.starts[group + 1] += 1;
+        }
+        for group in 0..group_count {
+            self.starts[group + 1] += self.starts[group];
+        }
+        self.rows.clear();
+        self.rows.resize(group_of_row.len(), 0);
+        // Each start moves to its end while rows are placed, …
+        for (row, &group) in group_of_row.iter().enumerate() {
+            self.rows[self.starts[group]] = row;
+            self.starts[group] += 1;
+        }
+        // … which is where the next group starts.
+        self.starts.copy_within(0..group_count, 1);
+        self.starts[0] = 0;
+    }
+
+    /// Number of groups.
+    fn count(&self) -> usize {
+        self.starts.len().saturating_sub(1)
+    }
+
+    /// The rows of one group, ascending.
+    fn rows(&self, group: usize) -> &[usize] {
+        &self.rows[self.starts[group]..self.starts[group + 1]]
+    }
+}
+
+/// For every group, the sum of layer 1's deltas over its rows. // (group, unit of layer 1)
+fn sum_by_group(sums: &mut [f32], blocks: &[Block], groups: &Groups) {
+    let width = blocks.first().map_or(1, |block| block.layers[0].width);
+    let sums = sums.par_chunks_exact_mut(width).take(groups.count());
+    sums.enumerate().for_each(|(group, sum)| {
+        sum.fill(0.0);
+        for &row in groups.rows(group) {
+            let block = &blocks[blocks.partition_point(|block| block.rows.end <= row)];
+            let deltas = &block.layers[0].deltas[(row - block.rows.start) * width..][..width];
+            simd::add(sum, deltas);
+        }
+    });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn groups_hold_their_rows_in_order() {
+        let mut groups = Groups::default();
+        groups.sort(&[2, 0, 2, 3, 0, 0]);
+        let rows: Vec<&[usize]> = (0..4).map(|group| groups.rows(group)).collect();
+        assert_eq!(rows, [&[1, 4, 5][..], &[], &[0, 2], &[3]]);
+    }
+}
