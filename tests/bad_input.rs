@@ -25,7 +25,8 @@ fn refused(folder: &Path, line: &str, code: i32, says: &[&str]) {
     };
     program.run(folder, line.split_whitespace()).refused(code, says);
     let after = contents(folder);
-    let changed: Vec<_> = after.iter().filter(|(name, bytes)| before.get(*name) != Some(bytes)).collect();
+    let changed: Vec<_> =
+        after.iter().filter(|(name, bytes)| before.get(*name) != Some(bytes)).collect();
     let names: Vec<_> = changed.iter().map(|(name, _)| name.display().to_string()).collect();
     assert!(names.is_empty(), "`{line}` was refused, but wrote {names:?}");
     assert_eq!(before.len(), after.len(), "`{line}` was refused, but removed files");
@@ -64,7 +65,11 @@ fn good_npy() -> Vec<u8> {
 /// A folder of one good and one bad array.
 fn with_bad_npy(bad: &[u8]) -> tempfile::TempDir {
     let labels = b"clip,action\ngood,walk\nbad,walk\n";
-    folder_of(&[("clips/good.npy", &good_npy()), ("clips/bad.npy", bad), ("clips/labels.csv", labels)])
+    folder_of(&[
+        ("clips/good.npy", &good_npy()),
+        ("clips/bad.npy", bad),
+        ("clips/labels.csv", labels),
+    ])
 }
 
 const TRAIN: &str = "train clips --out run --preset tiny --steps 3";
@@ -75,7 +80,12 @@ fn npy_that_is_cut_or_empty_is_refused() {
     let whole = good_npy();
     for len in [0, 4, 9, 40, whole.len() - 72, whole.len() - 71, whole.len() - 1] {
         let folder = with_bad_npy(&whole[..len]);
-        refused(folder.path(), TRAIN_NPY, BAD_INPUT, &["clips/bad.npy", "expected", "export the clip again"]);
+        refused(
+            folder.path(),
+            TRAIN_NPY,
+            BAD_INPUT,
+            &["clips/bad.npy", "expected", "export the clip again"],
+        );
     }
 }
 
@@ -85,10 +95,16 @@ fn npy_of_the_wrong_type_or_shape_is_refused() {
     let says = ["clips/bad.npy", "dtype", "<i4", "f4 or f8", "astype"];
     refused(with_bad_npy(&integers).path(), TRAIN_NPY, BAD_INPUT, &says);
     let more_joints = npy("<f4", "(3, 3, 3)", &floats((0..27).map(|value| value as f32)));
-    let says = ["clips/bad.npy", "shape", "(3, 2, 3)", "(frames, 3, 3) as in clips/bad.npy", "separately"];
+    let says =
+        ["clips/bad.npy", "shape", "(3, 2, 3)", "(frames, 3, 3) as in clips/bad.npy", "separately"];
     refused(with_bad_npy(&more_joints).path(), TRAIN_NPY, BAD_INPUT, &says[1..]);
     let flat = npy("<f4", "(18,)", &[0; 72]);
-    refused(with_bad_npy(&flat).path(), TRAIN_NPY, BAD_INPUT, &["clips/bad.npy", "shape", "(18)", "reshape"]);
+    refused(
+        with_bad_npy(&flat).path(),
+        TRAIN_NPY,
+        BAD_INPUT,
+        &["clips/bad.npy", "shape", "(18)", "reshape"],
+    );
 }
 
 #[test]
@@ -97,7 +113,8 @@ fn values_that_are_no_numbers_are_refused_by_frame_and_joint() {
         let mut values = [0.0; 18];
         values[10] = value;
         let folder = with_bad_npy(&npy("<f4", "(3, 2, 3)", &floats(values)));
-        let says = ["clips/bad.npy", "frame 1, joint01_y_m", name, "a finite number", "repair or remove"];
+        let says =
+            ["clips/bad.npy", "frame 1, joint01_y_m", name, "a finite number", "repair or remove"];
         refused(folder.path(), TRAIN_NPY, BAD_INPUT, &says);
     }
 }
@@ -111,7 +128,8 @@ fn clip_of_one_frame_is_refused() {
 
 #[test]
 fn arrays_without_a_rate_are_refused() {
-    let folder = folder_of(&[("clips/a.npy", &good_npy()), ("clips/labels.csv", b"clip,action\na,walk\n")]);
+    let folder =
+        folder_of(&[("clips/a.npy", &good_npy()), ("clips/labels.csv", b"clip,action\na,walk\n")]);
     refused(folder.path(), TRAIN, BAD_INPUT, &["clips/a.npy", "rate", "unknown", "--fps RATE"]);
 }
 
@@ -119,7 +137,11 @@ fn arrays_without_a_rate_are_refused() {
 fn clip_without_a_label_is_refused() {
     let files = [("clips/a.npy", good_npy()), ("clips/b.npy", good_npy())];
     let labels = b"clip,action\na,walk\n";
-    let folder = folder_of(&[(files[0].0, &files[0].1), (files[1].0, &files[1].1), ("clips/labels.csv", labels)]);
+    let folder = folder_of(&[
+        (files[0].0, &files[0].1),
+        (files[1].0, &files[1].1),
+        ("clips/labels.csv", labels),
+    ]);
     let says = ["clips/b.npy", "label", "missing", "a row in labels.csv", "add the row"];
     refused(folder.path(), TRAIN_NPY, BAD_INPUT, &says);
 }
@@ -127,13 +149,37 @@ fn clip_without_a_label_is_refused() {
 #[test]
 fn broken_json_bvh_and_csv_are_refused_by_line() {
     let cases: [(&str, &[u8], &[&str]); 8] = [
-        ("clips/nod/a.json", b"{\"time\":", &["content", "EOF", "set_target_data", "record or download"]),
-        ("clips/nod/a.json", b"{\"time\":[0, 1]}", &["content", "missing field `set_target_data`", "line 1"]),
-        ("clips/nod/a.bvh", b"HIERARCHY\nROOT hips\n{\n", &["line 3", "hips", "a closing brace", "export"]),
+        (
+            "clips/nod/a.json",
+            b"{\"time\":",
+            &["content", "EOF", "set_target_data", "record or download"],
+        ),
+        (
+            "clips/nod/a.json",
+            b"{\"time\":[0, 1]}",
+            &["content", "missing field `set_target_data`", "line 1"],
+        ),
+        (
+            "clips/nod/a.bvh",
+            b"HIERARCHY\nROOT hips\n{\n",
+            &["line 3", "hips", "a closing brace", "export"],
+        ),
         ("clips/nod/a.bvh", b"", &["expected", "HIERARCHY"]),
-        ("clips/nod/a.csv", b"time_s,jaw_deg\n0,1\n0.1,2,3\n", &["table", "line: 3", "correct the line"]),
-        ("clips/nod/a.csv", b"time_s,jaw\n0,1\n0.1,2\n", &["header, column 2", "jaw", "<name>_<unit>", "rename"]),
-        ("clips/nod/a.csv", b"time_s,jaw_deg\n0,1\n0.1,x\n", &["line 3, column jaw_deg", "x", "a finite number"]),
+        (
+            "clips/nod/a.csv",
+            b"time_s,jaw_deg\n0,1\n0.1,2,3\n",
+            &["table", "line: 3", "correct the line"],
+        ),
+        (
+            "clips/nod/a.csv",
+            b"time_s,jaw\n0,1\n0.1,2\n",
+            &["header, column 2", "jaw", "<name>_<unit>", "rename"],
+        ),
+        (
+            "clips/nod/a.csv",
+            b"time_s,jaw_deg\n0,1\n0.1,x\n",
+            &["line 3, column jaw_deg", "x", "a finite number"],
+        ),
         ("clips/nod/a.csv", b"", &["header", "at least one <name>_<unit>", "add the header line"]),
     ];
     for (file, bytes, says) in cases {
@@ -146,15 +192,26 @@ fn broken_json_bvh_and_csv_are_refused_by_line() {
 #[test]
 fn folder_without_clips_and_path_without_anything_are_refused() {
     let folder = folder_of(&[("clips/notes.txt", b"none yet")]);
-    refused(folder.path(), TRAIN, BAD_INPUT, &["clips", "clip files (.npy, .bvh, .json, .csv)", "name the folder"]);
+    refused(
+        folder.path(),
+        TRAIN,
+        BAD_INPUT,
+        &["clips", "clip files (.npy, .bvh, .json, .csv)", "name the folder"],
+    );
     refused(folder.path(), "inspect nowhere", INPUT_OUTPUT, &["nowhere", "read"]);
 }
 
 #[test]
 fn configuration_with_an_unknown_key_or_value_is_refused() {
     let cases: [(&[u8], &[&str]); 4] = [
-        (b"[decoder]\nhiden_widths = [3]\n", &["decoder.hiden_widths", "no known key", "hidden_widths", "spelling"]),
-        (b"[decoder]\nhidden_widths = \"3\"\n", &["decoder.hidden_widths", "\"3\"", "array", "correct the value"]),
+        (
+            b"[decoder]\nhiden_widths = [3]\n",
+            &["decoder.hiden_widths", "no known key", "hidden_widths", "spelling"],
+        ),
+        (
+            b"[decoder]\nhidden_widths = \"3\"\n",
+            &["decoder.hidden_widths", "\"3\"", "array", "correct the value"],
+        ),
         (b"[adam]\nbeta1 = 1.5\n", &["adam.beta1", "1.5", "below 1", "correct"]),
         (b"decoder\n", &["line 1", "TOML", "correct the syntax"]),
     ];
@@ -171,8 +228,18 @@ fn flags_that_no_run_can_have_are_refused() {
     let folder = workplace();
     let preset = ["--preset", "huge", "paper, published, small, tiny", "choose"];
     refused(folder.path(), "train clips --out run --preset huge", BAD_INPUT, &preset);
-    refused(folder.path(), "train clips --out run --steps 0", BAD_INPUT, &["budget.steps", "0", "1 or more"]);
-    refused(folder.path(), "train clips --out run --minutes=-1", BAD_INPUT, &["budget.minutes", "-1", "0 or more"]);
+    refused(
+        folder.path(),
+        "train clips --out run --steps 0",
+        BAD_INPUT,
+        &["budget.steps", "0", "1 or more"],
+    );
+    refused(
+        folder.path(),
+        "train clips --out run --minutes=-1",
+        BAD_INPUT,
+        &["budget.minutes", "-1", "0 or more"],
+    );
     let character = ["--clips-per-action", "0", "1 to 1000"];
     refused(folder.path(), "character --out new --clips-per-action 0", BAD_INPUT, &character);
     for line in [
@@ -211,7 +278,8 @@ fn duration_outside_training_is_refused_unless_clamped() {
             let line = format!("generate {source} --action nod --seconds={nonsense} --out new");
             refused(folder.path(), &line, BAD_INPUT, &["--seconds", "a positive number"]);
         }
-        let line = format!("generate {source} --action nod --seconds 20 --out {source}-clamped --clamp");
+        let line =
+            format!("generate {source} --action nod --seconds 20 --out {source}-clamped --clamp");
         let outcome = Program::HostTrainer.run(folder.path(), line.split(' ')).succeeded();
         assert!(outcome.stdout.contains("nod_2.22s"), "{outcome}");
     }
@@ -233,14 +301,20 @@ fn results_are_replaced_only_with_force() {
         refused(path, line, BAD_INPUT, &[result, "there", "--force"]);
         run(&format!("{line} --force"));
     }
-    refused(path, "train clips --out creature", BAD_INPUT, &["creature", "in use", "a new folder", "--resume"]);
+    refused(
+        path,
+        "train clips --out creature",
+        BAD_INPUT,
+        &["creature", "in use", "a new folder", "--resume"],
+    );
     refused(path, "demo --out mine", BAD_INPUT, &["mine", "--out", "--force"]);
 }
 
 /// Whichever of several files is in the way, none is written.
 #[test]
 fn several_motions_are_written_all_or_none() {
-    let line = "generate w8a8.kara --action nod --seconds 2 --seed 5 --count 3 --out motions --plot";
+    let line =
+        "generate w8a8.kara --action nod --seconds 2 --seed 5 --count 3 --out motions --plot";
     for taken in ["nod_2.00s_seed5.csv", "nod_2.00s_seed7.csv", "nod_seed5.svg"] {
         let folder = workplace();
         fs::create_dir(folder.path().join("motions")).expect("a writable folder");
@@ -253,7 +327,8 @@ fn several_motions_are_written_all_or_none() {
 fn with_checkpoint(bytes: &[u8]) -> tempfile::TempDir {
     let folder = workplace();
     fs::create_dir(folder.path().join("broken")).expect("a writable folder");
-    fs::write(folder.path().join("broken/checkpoint.safetensors"), bytes).expect("a writable folder");
+    fs::write(folder.path().join("broken/checkpoint.safetensors"), bytes)
+        .expect("a writable folder");
     folder
 }
 
@@ -269,7 +344,12 @@ fn damaged_checkpoint_is_refused_by_every_reader() {
             "train clips --out broken --resume",
             "sim compare broken w8a16.kara",
         ] {
-            let says = ["broken/checkpoint.safetensors", &format!("{len} bytes"), "expected", "train again"];
+            let says = [
+                "broken/checkpoint.safetensors",
+                &format!("{len} bytes"),
+                "expected",
+                "train again",
+            ];
             refused(folder.path(), line, BAD_INPUT, &says);
         }
     }
@@ -314,9 +394,19 @@ fn things_that_do_not_belong_together_are_refused() {
     let dataset = ["others", "the dataset", "another one than the run's", "the same folder"];
     refused(folder.path(), "reconstruct creature others", BAD_INPUT, &dataset);
     let resume = "train others --out creature --resume";
-    refused(folder.path(), resume, BAD_INPUT, &["creature", "dataset", "as when the run began", "restore the clips"]);
+    refused(
+        folder.path(),
+        resume,
+        BAD_INPUT,
+        &["creature", "dataset", "as when the run began", "restore the clips"],
+    );
     let config = "train clips --out creature --preset tiny --config quick.toml --seed 8 --resume";
-    refused(folder.path(), config, BAD_INPUT, &["creature", "seed = 8", "seed = 7", "repeat the flags"]);
+    refused(
+        folder.path(),
+        config,
+        BAD_INPUT,
+        &["creature", "seed = 8", "seed = 7", "repeat the flags"],
+    );
     let says = ["w8a16.kara", "stranger", "the run that it was quantized from"];
     refused(folder.path(), "sim compare stranger w8a16.kara", BAD_INPUT, &says);
 }

@@ -19,7 +19,8 @@ use tests::{FORMATS, Motion, assert_golden, golden_blob, golden_path, motions, t
 
 /// Least signal-to-noise ratio in dB, and largest error in degrees, for every servo together. Half of what was measured
 /// (47.2 dB and 0.092°, 40.3 dB and 0.255°, 74.1 dB and 0.005°), because training differs from machine to machine.
-const BOUNDS: [(&str, f64, f64); 3] = [("w8a16", 41.0, 0.2), ("w8a8", 34.0, 0.5), ("f16", 68.0, 0.02)];
+const BOUNDS: [(&str, f64, f64); 3] =
+    [("w8a16", 41.0, 0.2), ("w8a8", 34.0, 0.5), ("f16", 68.0, 0.02)];
 
 #[test]
 fn every_format_stays_within_its_bound_after_training() {

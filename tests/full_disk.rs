@@ -16,7 +16,8 @@ const INPUT_OUTPUT: i32 = 4;
 fn output_that_cannot_be_printed_is_an_error_and_a_closed_pipe_is_none() {
     let shell = |program: Program, line: &str, end: &str| {
         let script = format!("'{}' {line} {end}", program.path().display());
-        let output = Command::new("sh").args(["-c", &script]).current_dir(&trained().folder).output();
+        let output =
+            Command::new("sh").args(["-c", &script]).current_dir(&trained().folder).output();
         let output = output.expect("a shell");
         (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
     };
@@ -27,12 +28,18 @@ fn output_that_cannot_be_printed_is_an_error_and_a_closed_pipe_is_none() {
         (Program::HostTrainer, "reconstruct creature clips --stride 50"),
         (Program::HostTrainer, "reconstruct creature clips --stride 50 --json"),
         (Program::FirmwareSim, "compare creature w8a16.kara --draw-poses 1 --frames-per-clip 1"),
-        (Program::FirmwareSim, "compare creature w8a16.kara --draw-poses 1 --frames-per-clip 1 --json"),
+        (
+            Program::FirmwareSim,
+            "compare creature w8a16.kara --draw-poses 1 --frames-per-clip 1 --json",
+        ),
         (Program::FirmwareSim, "trace w8a16.kara --action nod --seconds 2"),
     ] {
         let (code, errors) = shell(program, line, "> /dev/full");
         assert_eq!(code, Some(INPUT_OUTPUT), "`{line}`: {errors}");
-        assert!(errors.contains("No space left on device") && !errors.contains("panicked"), "`{line}`: {errors}");
+        assert!(
+            errors.contains("No space left on device") && !errors.contains("panicked"),
+            "`{line}`: {errors}"
+        );
         let (_, errors) = shell(program, line, "| true");
         assert!(!errors.contains("error") && !errors.contains("panicked"), "`{line}`: {errors}");
     }
@@ -41,7 +48,10 @@ fn output_that_cannot_be_printed_is_an_error_and_a_closed_pipe_is_none() {
 /// A limit on the size of files stands in for a full disk: like it, it makes a write fail in the middle, and it needs
 /// no rights. 512 bytes a block.
 fn with_file_limit(folder: &Path, blocks: u32, line: &str) -> Outcome {
-    let script = format!("trap '' XFSZ; ulimit -f {blocks}; exec '{}' {line}", Program::HostTrainer.path().display());
+    let script = format!(
+        "trap '' XFSZ; ulimit -f {blocks}; exec '{}' {line}",
+        Program::HostTrainer.path().display()
+    );
     let arguments = ["-c", &script];
     let output = Command::new("sh").args(arguments).current_dir(folder).output().expect("a shell");
     Outcome {
@@ -65,9 +75,14 @@ fn write_that_fails_in_the_middle_leaves_nothing_new_and_the_old_unharmed() {
         let folder = workplace();
         fs::write(folder.path().join("mine.kara"), "years of work").expect("a writable folder");
         let before = contents(folder.path());
-        let outcome = with_file_limit(folder.path(), 2, line).refused(INPUT_OUTPUT, &[says, "File too large"]);
+        let outcome = with_file_limit(folder.path(), 2, line)
+            .refused(INPUT_OUTPUT, &[says, "File too large"]);
         let after = contents(folder.path());
-        assert!(before == after, "{:?} is new or changed: {outcome}", after.keys().collect::<Vec<_>>());
+        assert!(
+            before == after,
+            "{:?} is new or changed: {outcome}",
+            after.keys().collect::<Vec<_>>()
+        );
     }
 }
 
@@ -98,7 +113,8 @@ fn quantising_onto_a_full_disk_says_so_and_leaves_no_file() {
         program.display()
     );
     let arguments = ["--mount", "--map-root-user", "sh", "-c", &script];
-    let Ok(output) = Command::new("unshare").args(arguments).current_dir(folder.path()).output() else {
+    let Ok(output) = Command::new("unshare").args(arguments).current_dir(folder.path()).output()
+    else {
         return note("SKIPPED: no program unshare");
     };
     let errors = String::from_utf8_lossy(&output.stderr);
@@ -107,6 +123,9 @@ fn quantising_onto_a_full_disk_says_so_and_leaves_no_file() {
         return println!("SKIPPED: no file system may be mounted here: {errors}");
     }
     assert_eq!(output.status.code(), Some(INPUT_OUTPUT), "{errors}");
-    assert!(errors.contains("disk/new.kara") && errors.contains("No space left on device"), "{errors}");
+    assert!(
+        errors.contains("disk/new.kara") && errors.contains("No space left on device"),
+        "{errors}"
+    );
     assert_eq!(String::from_utf8_lossy(&output.stdout), "", "left on the disk");
 }

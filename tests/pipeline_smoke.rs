@@ -17,11 +17,28 @@ const CHECKPOINT: &str = "checkpoint.safetensors";
 #[test]
 fn demo_tells_the_whole_story_in_one_table() {
     let folder = sandbox();
-    let demo = host_trainer(folder.path(), "demo --preset tiny --steps 40 --clips-per-action 4").succeeded();
-    for part in ["clips", "training", "w8a16", "w8a8", "f16", "weights", "RAM bytes", "multiply-accumulates"] {
+    let demo = host_trainer(folder.path(), "demo --preset tiny --steps 40 --clips-per-action 4")
+        .succeeded();
+    for part in [
+        "clips",
+        "training",
+        "w8a16",
+        "w8a8",
+        "f16",
+        "weights",
+        "RAM bytes",
+        "multiply-accumulates",
+    ] {
         assert!(demo.stdout.contains(part), "no {part:?}: {demo}");
     }
-    for made in ["clips", "run", "motions", "chako-tiny-w8a16.kara", "chako-tiny-w8a8.kara", "chako-tiny-f16.kara"] {
+    for made in [
+        "clips",
+        "run",
+        "motions",
+        "chako-tiny-w8a16.kara",
+        "chako-tiny-w8a8.kara",
+        "chako-tiny-f16.kara",
+    ] {
         assert!(folder.path().join("demo").join(made).exists(), "no {made}: {demo}");
     }
     let motions = fs::read_dir(folder.path().join("demo/motions")).expect("motions").count();
@@ -41,7 +58,8 @@ fn character_writes_the_clips_that_inspect_counts() {
 #[test]
 fn training_prints_its_result_and_leaves_metrics_and_a_picture() {
     let folder = workplace();
-    let outcome = host_trainer(folder.path(), "train clips --out run --preset tiny --steps 20").succeeded();
+    let outcome =
+        host_trainer(folder.path(), "train clips --out run --preset tiny --steps 20").succeeded();
     assert!(outcome.stdout.starts_with("20 steps, in run\n"), "{outcome}");
     assert!(outcome.stdout.contains("RMS"), "{outcome}");
     let run = folder.path().join("run");
@@ -76,7 +94,8 @@ fn blob_explains_itself_to_people_and_programs() {
         let file = format!("{format}.kara");
         let people = host_trainer(&trained().folder, &format!("inspect {file}")).succeeded();
         assert!(people.stdout.contains(format) && people.stdout.contains("weights"), "{people}");
-        let report = host_trainer(&trained().folder, &format!("inspect {file} --json")).succeeded().json();
+        let report =
+            host_trainer(&trained().folder, &format!("inspect {file} --json")).succeeded().json();
         let bytes = fs::metadata(trained().blob(format)).expect("a blob").len();
         assert_eq!((&report["format"], &report["bytes"]), (&format.into(), &bytes.into()));
         let parts = report["parts"].as_array().expect("parts").iter();
@@ -97,7 +116,10 @@ fn generate_writes_every_file_format_from_run_and_blob() {
             let files: Vec<&str> = outcome.stdout.lines().collect();
             assert_eq!(files.len(), 3 + 1, "three motions and a picture: {outcome}");
             for file in files {
-                assert!(fs::metadata(folder.path().join(file)).is_ok_and(|file| file.len() > 0), "{outcome}");
+                assert!(
+                    fs::metadata(folder.path().join(file)).is_ok_and(|file| file.len() > 0),
+                    "{outcome}"
+                );
             }
         }
     }
@@ -108,10 +130,16 @@ fn same_seed_gives_the_same_motion_and_another_seed_another() {
     let folder = workplace();
     for source in ["creature", "w8a8.kara"] {
         let motion = |seed: u64, out: &str| {
-            let line = format!("generate {source} --action shake --seconds 2.4 --seed {seed} --out {out} --force");
+            let line = format!(
+                "generate {source} --action shake --seconds 2.4 --seed {seed} --out {out} --force"
+            );
             let outcome = host_trainer(folder.path(), &line).succeeded();
-            let text = fs::read_to_string(folder.path().join(outcome.stdout.trim())).expect("a motion");
-            text.lines().filter(|line| !line.starts_with('#')).map(str::to_owned).collect::<Vec<_>>()
+            let text =
+                fs::read_to_string(folder.path().join(outcome.stdout.trim())).expect("a motion");
+            text.lines()
+                .filter(|line| !line.starts_with('#'))
+                .map(str::to_owned)
+                .collect::<Vec<_>>()
         };
         assert_eq!(motion(7, "a"), motion(7, "b"));
         assert_ne!(motion(7, "a"), motion(8, "a"));
@@ -122,7 +150,9 @@ fn same_seed_gives_the_same_motion_and_another_seed_another() {
 fn generated_tracks_are_clips_again() {
     let folder = workplace();
     for action in ["nod", "shake"] {
-        let line = format!("generate w8a16.kara --action {action} --seconds 2.2 --count 4 --out new/{action}");
+        let line = format!(
+            "generate w8a16.kara --action {action} --seconds 2.2 --count 4 --out new/{action}"
+        );
         host_trainer(folder.path(), &line).succeeded();
     }
     let report = host_trainer(folder.path(), "inspect new --json").succeeded().json();
@@ -139,7 +169,10 @@ fn comparison_is_printed_for_people_and_programs() {
         let table = firmware_sim(&trained().folder, &line).succeeded();
         assert!(table.stdout.contains("RMS") && table.stdout.contains("SNR dB"), "{table}");
         let report = firmware_sim(&trained().folder, &format!("{line} --json")).succeeded().json();
-        assert_eq!((&report["number_format"], &report["training_clips"]["motion_count"]), (&format.into(), &40.into()));
+        assert_eq!(
+            (&report["number_format"], &report["training_clips"]["motion_count"]),
+            (&format.into(), &40.into())
+        );
     }
 }
 
@@ -162,9 +195,13 @@ fn verbs_explain_themselves_with_an_example() {
 fn same_seed_gives_the_same_checkpoint_and_the_same_blobs() {
     let folder = workplace();
     // A run's name goes into its blobs, so the second run has it too.
-    let train = "train clips --out again/creature --preset tiny --config quick.toml --seed 7 --threads 2";
+    let train =
+        "train clips --out again/creature --preset tiny --config quick.toml --seed 7 --threads 2";
     host_trainer(folder.path(), train).succeeded();
-    assert_same(&trained().run.join(CHECKPOINT), &folder.path().join("again/creature").join(CHECKPOINT));
+    assert_same(
+        &trained().run.join(CHECKPOINT),
+        &folder.path().join("again/creature").join(CHECKPOINT),
+    );
     for format in FORMATS {
         let line = format!("quantize again/creature --format {format} --out again/{format}.kara");
         host_trainer(folder.path(), &line).succeeded();
@@ -198,7 +235,9 @@ fn wait_for(file: &Path, child: &mut Child) {
 fn run_that_was_interrupted_and_killed_ends_in_the_same_bytes() {
     let folder = workplace();
     let path = folder.path();
-    let train = |out: &str| format!("train clips --out {out} --preset tiny --config quick.toml --steps 2500");
+    let train = |out: &str| {
+        format!("train clips --out {out} --preset tiny --config quick.toml --steps 2500")
+    };
     host_trainer(path, &train("whole")).succeeded();
 
     let checkpoint = path.join("cut").join(CHECKPOINT);
@@ -215,7 +254,10 @@ fn run_that_was_interrupted_and_killed_ends_in_the_same_bytes() {
     sleep(Duration::from_millis(150));
     child.kill().expect("a child to kill");
     assert_eq!(child.wait().expect("a child").code(), None, "the run ended before it was killed");
-    assert!(fs::read(&checkpoint).expect("a checkpoint") == saved, "a kill between two saves changed the checkpoint");
+    assert!(
+        fs::read(&checkpoint).expect("a checkpoint") == saved,
+        "a kill between two saves changed the checkpoint"
+    );
 
     host_trainer(path, &format!("{} --resume", train("cut"))).succeeded();
     assert_same(&path.join("whole").join(CHECKPOINT), &checkpoint);

@@ -11,7 +11,13 @@ const MISSING_TOOL: i32 = 6;
 /// The answer of the simulator, unless this machine cannot give one.
 fn run(blob: &str) -> Option<Outcome> {
     let path = golden_path(blob);
-    let arguments = ["run".as_ref(), path.as_os_str(), "--target".as_ref(), "cortex-m4".as_ref(), "--json".as_ref()];
+    let arguments = [
+        "run".as_ref(),
+        path.as_os_str(),
+        "--target".as_ref(),
+        "cortex-m4".as_ref(),
+        "--json".as_ref(),
+    ];
     let outcome = Program::FirmwareSim.run(&repository(), arguments);
     if outcome.code == Some(MISSING_TOOL) {
         skip(outcome.stderr.trim());

@@ -39,12 +39,15 @@ enum Run {
 
 impl Run {
     fn asked_by(line: &str) -> Self {
-        let text = line.strip_prefix("<!-- run").and_then(|rest| rest.strip_suffix("-->")).map(str::trim);
+        let text =
+            line.strip_prefix("<!-- run").and_then(|rest| rest.strip_suffix("-->")).map(str::trim);
         match text.map(|text| text.strip_prefix("with:").ok_or(text)) {
             None => Self::Not,
             Some(Ok(flags)) => Self::With(flags.trim().to_owned()),
             Some(Err("")) => Self::AsShown,
-            Some(Err(other)) => panic!("`run{other}`: write `<!-- run -->` or `<!-- run with: FLAGS -->`"),
+            Some(Err(other)) => {
+                panic!("`run{other}`: write `<!-- run -->` or `<!-- run with: FLAGS -->`")
+            }
         }
     }
 }
@@ -62,9 +65,14 @@ fn blocks_of(path: &str, text: &str) -> Vec<Block> {
     let mut lines = text.lines().enumerate();
     while let Some((index, line)) = lines.next() {
         if line == "```sh" {
-            let body: Vec<&str> = lines.by_ref().map(|(_, line)| line).take_while(|line| *line != "```").collect();
+            let body: Vec<&str> =
+                lines.by_ref().map(|(_, line)| line).take_while(|line| *line != "```").collect();
             let place = format!("{path}:{}", index + 1);
-            found.push(Block { place, commands: commands(&body.join("\n")), run: Run::asked_by(before) });
+            found.push(Block {
+                place,
+                commands: commands(&body.join("\n")),
+                run: Run::asked_by(before),
+            });
         }
         before = line;
     }
@@ -111,7 +119,10 @@ fn readme_shows_commands_and_runs_some() {
     let blocks = blocks();
     let of_readme = || blocks.iter().filter(|block| block.place.starts_with("README.md"));
     assert!(of_readme().any(|block| block.commands.iter().any(|command| ours(command).is_some())));
-    assert!(of_readme().any(|block| block.run != Run::Not), "no block of README.md is marked <!-- run -->");
+    assert!(
+        of_readme().any(|block| block.run != Run::Not),
+        "no block of README.md is marked <!-- run -->"
+    );
 }
 
 #[test]
@@ -132,7 +143,10 @@ fn shown_scripts_exist() {
         let words = commands.iter().flat_map(|command| command.split_whitespace());
         for script in words.filter(|word| word.starts_with("./") || word.starts_with(".ci/")) {
             let exists = repository().join(script).exists();
-            assert!(exists, "{place}: {script} does not exist, seen from the root of the repository");
+            assert!(
+                exists,
+                "{place}: {script} does not exist, seen from the root of the repository"
+            );
         }
     }
 }
@@ -143,9 +157,15 @@ fn blocks_marked_run_do_run() {
         let folder = sandbox();
         match run {
             Run::Not => (),
-            Run::AsShown => commands.iter().for_each(|command| shell(folder.path(), &place, command)),
+            Run::AsShown => {
+                commands.iter().for_each(|command| shell(folder.path(), &place, command))
+            }
             Run::With(flags) => {
-                assert_eq!(commands.len(), 1, "{place}: flags are added to one command, not to several");
+                assert_eq!(
+                    commands.len(),
+                    1,
+                    "{place}: flags are added to one command, not to several"
+                );
                 shell(folder.path(), &place, &format!("{} {flags}", commands[0]));
             }
         }
@@ -160,7 +180,8 @@ fn blocks_are_found_and_commands_told_apart() {
     let [with, as_shown] = &blocks[..] else { panic!("{} blocks", blocks.len()) };
     assert_eq!((&with.run, &as_shown.run), (&Run::With("--steps 6".into()), &Run::AsShown));
     assert_eq!(with.commands, ["host-trainer demo    --out x", "ls"]);
-    let (program, arguments) = ours("cargo run --release -p firmware-sim -- run a.kara").expect("ours");
+    let (program, arguments) =
+        ours("cargo run --release -p firmware-sim -- run a.kara").expect("ours");
     assert_eq!((program, arguments), (Program::FirmwareSim, "run a.kara"));
     assert!(ours("cargo test").is_none() && ours("host-trainers x").is_none());
 }
