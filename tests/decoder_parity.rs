@@ -17,8 +17,10 @@ use indicatif::ProgressBar;
 use karakuri::{ActionId, Model, Pcg32};
 use tests::{FORMATS, Motion, assert_golden, golden_blob, golden_path, motions, trained};
 
-/// Least signal-to-noise ratio and largest error of a servo that a format may cost, for models of preset `tiny`'s kind.
-const BOUNDS: [(&str, f64, f64); 3] = [("w8a16", 0.0, 0.0), ("w8a8", 0.0, 0.0), ("f16", 0.0, 0.0)];
+/// Least signal-to-noise ratio in dB, and largest error in degrees, for every servo together. Half of what was measured
+/// (47.2 dB and 0.092°, 40.3 dB and 0.255°, 74.1 dB and 0.005°), because training differs from machine to machine.
+const BOUNDS: [(&str, f64, f64); 3] =
+    [("w8a16", 41.0, 0.2), ("w8a8", 34.0, 0.5), ("f16", 68.0, 0.02)];
 
 #[test]
 fn every_format_stays_within_its_bound_after_training() {

@@ -3,7 +3,7 @@
 //! Why here: the promise that matters most, checked where nothing but a blob and two programs is involved.
 
 use firmware_sim::parity::POSE_COUNT_MIN;
-use tests::{FORMATS, GOLDEN_BLOBS, Outcome, firmware_sim, golden_path, repository, skip, text};
+use tests::{FORMATS, GOLDEN_BLOBS, Outcome, Program, golden_path, repository, skip};
 
 /// `firmware-sim`'s exit code where QEMU or a cross-compiler is missing.
 const MISSING_TOOL: i32 = 6;
@@ -11,8 +11,14 @@ const MISSING_TOOL: i32 = 6;
 /// The answer of the simulator, unless this machine cannot give one.
 fn run(blob: &str) -> Option<Outcome> {
     let path = golden_path(blob);
-    let outcome =
-        firmware_sim(&repository(), &format!("run {} --target cortex-m4 --json", text(&path)));
+    let arguments = [
+        "run".as_ref(),
+        path.as_os_str(),
+        "--target".as_ref(),
+        "cortex-m4".as_ref(),
+        "--json".as_ref(),
+    ];
+    let outcome = Program::FirmwareSim.run(&repository(), arguments);
     if outcome.code == Some(MISSING_TOOL) {
         skip(outcome.stderr.trim());
         return None;

@@ -2,8 +2,12 @@
 //!
 //! The convention: commands stand in blocks fenced by "```sh". Every `host-trainer` and `firmware-sim` command line in
 //! such a block is parsed by the program itself, with `--help` added, so that no verb or flag in the text can go stale;
-//! a program that is called by its path must exist. A block right below the line `<!-- run -->` is also run from first
-//! to last line, in an empty folder; every line must end with exit code 0.
+//! a script that is named must exist. A line right above the block makes it run, in an empty folder, first line to last;
+//! every line must end with exit code 0:
+//!
+//! * `<!-- run -->`: as shown.
+//! * `<!-- run with: --steps 60 -->`: a block of one command, with these flags added, where the command as shown would
+//!   take minutes.
 //!
 //! Programs are started as cargo built them for these tests: `cargo run --release -p host-trainer -- demo` and
 //! `host-trainer demo` both mean `demo` to that program. In a block that is run, everything else (`ls`, `cat`, …) goes
@@ -21,7 +25,31 @@ struct Block {
     place: String,
     /// One a line, continuation lines joined, comments left out.
     commands: Vec<String>,
-    is_run: bool,
+    run: Run,
+}
+
+/// What the line above a block asks for.
+#[derive(Debug, PartialEq, Eq)]
+enum Run {
+    Not,
+    AsShown,
+    /// With these flags added.
+    With(String),
+}
+
+impl Run {
+    fn asked_by(line: &str) -> Self {
+        let text =
+            line.strip_prefix("<!-- run").and_then(|rest| rest.strip_suffix("-->")).map(str::trim);
+        match text.map(|text| text.strip_prefix("with:").ok_or(text)) {
+            None => Self::Not,
+            Some(Ok(flags)) => Self::With(flags.trim().to_owned()),
+            Some(Err("")) => Self::AsShown,
+            Some(Err(other)) => {
+                panic!("`run{other}`: write `<!-- run -->` or `<!-- run with: FLAGS -->`")
+            }
+        }
+    }
 }
 
 /// Every block of every Markdown file that git tracks or would add.
@@ -32,30 +60,32 @@ fn blocks() -> Vec<Block> {
 }
 
 fn blocks_of(path: &str, text: &str) -> Vec<Block> {
-    let (mut found, mut open, mut before) = (Vec::new(), None::<Block>, "");
-    for (index, line) in text.lines().enumerate() {
-        match &mut open {
-            Some(_) if line.starts_with("```") => found.extend(open.take()),
-            Some(block) => block.commands.push(line.to_owned()),
-            None if line == "```sh" => {
-                let place = format!("{path}:{}", index + 1);
-                open =
-                    Some(Block { place, commands: Vec::new(), is_run: before == "<!-- run -->" });
-            }
-            None => (),
+    let mut found = Vec::new();
+    let mut before = "";
+    let mut lines = text.lines().enumerate();
+    while let Some((index, line)) = lines.next() {
+        if line == "```sh" {
+            let body: Vec<&str> =
+                lines.by_ref().map(|(_, line)| line).take_while(|line| *line != "```").collect();
+            let place = format!("{path}:{}", index + 1);
+            found.push(Block {
+                place,
+                commands: commands(&body.join("\n")),
+                run: Run::asked_by(before),
+            });
         }
         before = line;
     }
-    assert!(open.is_none(), "{path}: a block of commands has no end");
-    for block in &mut found {
-        let joined = block.commands.join("\n").replace("\\\n", " ");
-        let lines = joined.lines().map(|line| line.trim().trim_start_matches("$ "));
-        block.commands = lines
-            .filter(|line| !line.is_empty() && !line.starts_with('#'))
-            .map(str::to_owned)
-            .collect();
-    }
     found
+}
+
+fn commands(body: &str) -> Vec<String> {
+    let joined = body.replace("\\\n", " ");
+    let without_comment = |line: &str| match line.find('#') {
+        Some(0) => String::new(),
+        _ => line.split(" #").next().unwrap_or_default().trim().to_owned(),
+    };
+    joined.lines().map(without_comment).filter(|line| !line.is_empty()).collect()
 }
 
 /// The program that a command starts and the rest of the line, if it is one of ours.
@@ -66,63 +96,56 @@ fn ours(command: &str) -> Option<(Program, &str)> {
             let (flags, arguments) = rest.split_once(" -- ")?;
             flags.ends_with(&format!("-p {name}")).then_some(arguments)
         });
-        let by_name = || {
-            let (first, arguments) = command.split_once(' ')?;
-            (first == name || first == format!("target/release/{name}")).then_some(arguments)
-        };
+        let by_name = || command.strip_prefix(name)?.strip_prefix(' ');
         by_cargo.or_else(by_name).map(|arguments| (program, arguments))
     })
 }
 
-/// The command with our programs' paths in place of their names, for a shell.
-fn for_the_shell(command: &str) -> String {
-    match ours(command) {
+/// Gives a command to the shell, with our programs' paths in place of their names; panics unless it succeeds.
+fn shell(folder: &Path, place: &str, command: &str) {
+    let line = match ours(command) {
         Some((program, arguments)) => format!("'{}' {arguments}", program.path().display()),
         None => command.to_owned(),
-    }
-}
-
-fn shell(folder: &Path, command: &str) -> std::process::Output {
+    };
     let mut shell = Command::new("sh");
-    shell.args(["-ec", command]).current_dir(folder).env_remove("CARGO").output().expect("a shell")
+    shell.args(["-ec", &line]).current_dir(folder).env_remove("CARGO");
+    let output = shell.output().expect("a shell");
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{place}: `{command}` ended with {}\n{errors}", output.status);
 }
 
 #[test]
-fn readme_has_commands() {
+fn readme_shows_commands_and_runs_some() {
     let blocks = blocks();
+    let of_readme = || blocks.iter().filter(|block| block.place.starts_with("README.md"));
+    assert!(of_readme().any(|block| block.commands.iter().any(|command| ours(command).is_some())));
     assert!(
-        blocks.iter().any(|block| block.place.starts_with("README.md")),
-        "README.md shows no commands"
+        of_readme().any(|block| block.run != Run::Not),
+        "no block of README.md is marked <!-- run -->"
     );
-    assert!(blocks.iter().any(|block| block.is_run), "no block is marked <!-- run -->");
 }
 
 #[test]
 fn flags_of_every_shown_command_exist() {
     let folder = sandbox();
-    for block in blocks() {
-        for command in &block.commands {
-            let Some((program, arguments)) = ours(command) else { continue };
+    for Block { place, commands, .. } in blocks() {
+        for command in commands.iter().filter(|command| ours(command).is_some()) {
             // What follows a pipe or a redirection is the shell's.
-            let own = arguments.split(['|', '>', ';', '&']).next().unwrap_or_default();
-            let asked = format!("'{}' {own} --help", program.path().display());
-            let output = shell(folder.path(), &asked);
-            let errors = String::from_utf8_lossy(&output.stderr);
-            assert!(output.status.success(), "{}: `{command}`\n{errors}", block.place);
+            let own = command.split(['|', '>', ';', '&']).next().unwrap_or_default();
+            shell(folder.path(), &place, &format!("{own} --help"));
         }
     }
 }
 
 #[test]
 fn shown_scripts_exist() {
-    for block in blocks() {
-        for command in &block.commands {
-            let program = command.split_whitespace().next().unwrap_or_default();
-            let is_script = program.starts_with("./") || program.starts_with(".ci/");
+    for Block { place, commands, .. } in blocks() {
+        let words = commands.iter().flat_map(|command| command.split_whitespace());
+        for script in words.filter(|word| word.starts_with("./") || word.starts_with(".ci/")) {
+            let exists = repository().join(script).exists();
             assert!(
-                !is_script || repository().join(program).exists(),
-                "{}: {program} does not exist, seen from the root of the repository",
-                block.place
+                exists,
+                "{place}: {script} does not exist, seen from the root of the repository"
             );
         }
     }
@@ -130,25 +153,35 @@ fn shown_scripts_exist() {
 
 #[test]
 fn blocks_marked_run_do_run() {
-    for block in blocks().iter().filter(|block| block.is_run) {
+    for Block { place, commands, run } in blocks() {
         let folder = sandbox();
-        for command in &block.commands {
-            let output = shell(folder.path(), &for_the_shell(command));
-            let errors = String::from_utf8_lossy(&output.stderr);
-            assert!(output.status.success(), "{}: `{command}`\n{errors}", block.place);
+        match run {
+            Run::Not => (),
+            Run::AsShown => {
+                commands.iter().for_each(|command| shell(folder.path(), &place, command))
+            }
+            Run::With(flags) => {
+                assert_eq!(
+                    commands.len(),
+                    1,
+                    "{place}: flags are added to one command, not to several"
+                );
+                shell(folder.path(), &place, &format!("{} {flags}", commands[0]));
+            }
         }
     }
 }
 
 #[test]
 fn blocks_are_found_and_commands_told_apart() {
-    let text = "<!-- run -->\n```sh\n# why\nhost-trainer demo \\\n  --out x\nls\n```\n```text\nhost-trainer no\n```\n";
+    let text = "<!-- run with: --steps 6 -->\n```sh\n# why\nhost-trainer demo \\\n  --out x # so\nls\n```\n\
+                ```text\nhost-trainer no\n```\n<!-- run -->\n```sh\nls\n```\n";
     let blocks = blocks_of("a.md", text);
-    assert_eq!(blocks.len(), 1);
-    assert!(blocks[0].is_run);
-    assert_eq!(blocks[0].commands, ["host-trainer demo    --out x", "ls"]);
+    let [with, as_shown] = &blocks[..] else { panic!("{} blocks", blocks.len()) };
+    assert_eq!((&with.run, &as_shown.run), (&Run::With("--steps 6".into()), &Run::AsShown));
+    assert_eq!(with.commands, ["host-trainer demo    --out x", "ls"]);
     let (program, arguments) =
         ours("cargo run --release -p firmware-sim -- run a.kara").expect("ours");
     assert_eq!((program, arguments), (Program::FirmwareSim, "run a.kara"));
-    assert!(ours("cargo test").is_none());
+    assert!(ours("cargo test").is_none() && ours("host-trainers x").is_none());
 }

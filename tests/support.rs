@@ -67,11 +67,6 @@ pub fn sandbox() -> TempDir {
     tempfile::Builder::new().prefix("karakuri-").tempdir().expect("a temporary folder")
 }
 
-/// A path as an argument.
-pub fn text(path: &Path) -> &str {
-    path.to_str().expect("test folders have plain names")
-}
-
 /// Every file below a folder with its bytes, and every folder with none; names relative to the folder.
 pub fn contents(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut found = BTreeMap::new();
@@ -240,6 +235,17 @@ pub fn trained() -> &'static Trained {
         }
         Trained { clips: folder.join("clips"), run: folder.join("creature"), folder }
     })
+}
+
+/// A new folder with links to the trained run, its clips and its blobs: `clips`, `creature`, `w8a16.kara`, ….
+pub fn workplace() -> TempDir {
+    let folder = sandbox();
+    for entry in fs::read_dir(&trained().folder).expect("a trained run") {
+        let entry = entry.expect("a trained run");
+        let link = folder.path().join(entry.file_name());
+        std::os::unix::fs::symlink(entry.path(), link).expect("a file system with links");
+    }
+    folder
 }
 
 /// An empty folder for the running test program. A static value is never dropped, so the folder is emptied at the next
