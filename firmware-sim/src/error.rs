@@ -63,7 +63,7 @@ pub enum Error {
     /// The bare-metal program did not run to its end.
     #[error("the firmware stopped: {reason}\n{log}")]
     Firmware {
-        /// Exit code, signal or time-out.
+        /// Exit code, signal or silence.
         reason: String,
         /// What it printed last.
         log: String,

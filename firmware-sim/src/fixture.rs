@@ -132,7 +132,10 @@ impl Fixture {
             .iter()
             .map(|(name, kind, unit)| serde_json::json!({"name": name, "kind": kind, "unit": unit}))
             .collect();
-        let clip = |(index, frame_count)| serde_json::json!({"name": format!("clip{index}"), "action": index / 2, "frame_count": frame_count});
+        let clip = |(index, frame_count)| {
+            let (name, action) = (format!("clip{index}"), index / 2);
+            serde_json::json!({"name": name, "action": action, "frame_count": frame_count})
+        };
         let dataset = serde_json::json!({
             "layout": {"groups": groups}, "rate_hz": 50.0, "actions": ACTIONS, "skeleton": null,
             "clips": CLIP_FRAMES.iter().enumerate().map(clip).collect::<Vec<_>>(),

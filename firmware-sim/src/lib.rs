@@ -1,8 +1,8 @@
 //! Proves that the chip does what the float model did.
 //!
 //! Three questions, three verbs: does a chip compute the very bits that the host computes (`run`, in QEMU), how far are
-//! those from the float model that was trained (`compare`), and what will the servos be told (`trace`)? The modules stand
-//! in the order of their journeys.
+//! those from the float model that was trained (`compare`), and what will the servos be told (`trace`)? The modules
+//! stand in the order of their journeys.
 
 pub mod error;
 

@@ -36,8 +36,8 @@ pub const F16_TOLERANCE: f64 = 1.0 / 1024.0;
 /// Smallest difference that the `f16` tolerance allows even to a channel that does not move: 2 LSB of a pose.
 const F16_TOLERANCE_LSB: f64 = 2.0;
 
-/// A run that takes longer has failed; software floats of a large model on a Cortex-M0+ take minutes.
-const TIME_LIMIT: Duration = Duration::from_secs(1_800);
+/// A pose takes a Cortex-M0+ with software floats and a large model seconds; longer silence is a hang.
+const SILENCE_MAX: Duration = Duration::from_secs(120);
 
 /// Result of one proof.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -122,7 +122,7 @@ pub fn run_parity(
     let model = Model::from_bytes(blob)?;
     let cases = choose_cases(&model, pose_count_min);
     let host = decode_cases(&model, &cases)?;
-    let qemu = Qemu { program: qemu::PROGRAM, time_limit: TIME_LIMIT };
+    let qemu = Qemu { program: qemu::PROGRAM, silence_max: SILENCE_MAX };
     qemu.check_installed()?;
     progress.set_message(format!("building for {}", target.name()));
     let firmware = Firmware::build(blob, &cases, target)?;

@@ -3,14 +3,14 @@
 //! In:  an ELF file from `firmware.rs`.
 //! Out: its standard output, line by line, while it runs.
 //!
-//! Why here: the only file that starts the emulator. It always ends it too, also after a time-out.
+//! Why here: the only file that starts the emulator. It always ends it too, also after a fault.
 
 use std::io::{self, BufRead, BufReader, Read};
 use std::path::Path;
 use std::process::{Child, ChildStdout, Command, Stdio};
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
 use std::thread;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use crate::error::{Error, Result};
 use crate::target::Target;
@@ -28,17 +28,17 @@ const LOG_LINE_LEN: usize = 160;
 pub struct Qemu<'a> {
     /// Name or path of the program; [`PROGRAM`] unless there is a reason.
     pub program: &'a str,
-    /// A run that takes longer has failed.
-    pub time_limit: Duration,
+    /// A program that prints nothing for so long has failed.
+    pub silence_max: Duration,
 }
 
 impl Qemu<'_> {
     /// Runs `elf` to its end and calls `on_line` with each line of its standard output.
     ///
     /// # Errors
-    /// [`Error::MissingTool`] without the emulator; [`Error::Firmware`] after a non-zero exit code or a time-out.
+    /// [`Error::MissingTool`] without the emulator; [`Error::Firmware`] after a non-zero exit code or a long silence.
     pub fn run(&self, elf: &Path, target: Target, on_line: impl FnMut(&str)) -> Result<()> {
-        Guest(self.start(elf, target)?).watch(self.time_limit, on_line)
+        Guest(self.start(elf, target)?).watch(self.silence_max, on_line)
     }
 
     /// Finds out before a long build.
@@ -79,19 +79,18 @@ struct Guest(Child);
 
 impl Guest {
     /// Forwards its output until it ends, well and in time.
-    fn watch(mut self, time_limit: Duration, mut on_line: impl FnMut(&str)) -> Result<()> {
+    fn watch(mut self, silence_max: Duration, mut on_line: impl FnMut(&str)) -> Result<()> {
         let errors = self.0.stderr.take().map(|stream| thread::spawn(move || read_all(stream)));
         let lines = self.0.stdout.take().map(spawn_reader);
-        let deadline = Instant::now() + time_limit;
         let mut log = Vec::new();
-        let in_time = lines.is_some_and(|lines| {
-            forward(&lines, deadline, |line| {
+        let has_ended = lines.is_some_and(|lines| {
+            forward(&lines, silence_max, |line| {
                 remember(&mut log, line);
                 on_line(line);
             })
         });
-        if !in_time {
-            let reason = format!("no end after {} s", time_limit.as_secs());
+        if !has_ended {
+            let reason = format!("silent for {} s", silence_max.as_secs());
             return Err(Error::Firmware { reason, log: log.join("\n") });
         }
         let status = self.0.wait().map_err(Error::io("wait for", PROGRAM))?;
@@ -125,10 +124,10 @@ fn spawn_reader(stdout: ChildStdout) -> Receiver<String> {
     receiver
 }
 
-/// Hands lines on until the stream ends (true) or the deadline passes (false).
-fn forward(lines: &Receiver<String>, deadline: Instant, mut on_line: impl FnMut(&str)) -> bool {
+/// Hands lines on until the stream ends (true) or is silent for too long (false).
+fn forward(lines: &Receiver<String>, silence_max: Duration, mut on_line: impl FnMut(&str)) -> bool {
     loop {
-        match lines.recv_timeout(deadline.saturating_duration_since(Instant::now())) {
+        match lines.recv_timeout(silence_max) {
             Ok(line) => on_line(&line),
             Err(RecvTimeoutError::Disconnected) => return true,
             Err(RecvTimeoutError::Timeout) => return false,
@@ -153,9 +152,10 @@ fn remember(log: &mut Vec<String>, line: &str) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::time::Instant;
 
     const ABSENT: Qemu<'_> =
-        Qemu { program: "qemu-system-arm-that-nobody-installed", time_limit: Duration::ZERO };
+        Qemu { program: "qemu-system-arm-that-nobody-installed", silence_max: Duration::ZERO };
 
     #[test]
     fn missing_qemu_names_the_package_to_install() {
@@ -169,20 +169,20 @@ mod tests {
     }
 
     /// Any program will do to watch.
-    fn watch(script: &str, time_limit: Duration) -> Result<Vec<String>> {
+    fn watch(script: &str, silence_max: Duration) -> Result<Vec<String>> {
         let mut command = Command::new("sh");
         command.args(["-c", script]).stdout(Stdio::piped()).stderr(Stdio::piped());
         let mut lines = Vec::new();
         let on_line = |line: &str| lines.push(line.to_owned());
-        Guest(command.spawn().unwrap()).watch(time_limit, on_line)?;
+        Guest(command.spawn().unwrap()).watch(silence_max, on_line)?;
         Ok(lines)
     }
 
     #[test]
-    fn emulator_that_does_not_end_in_time_is_killed() {
+    fn emulator_that_falls_silent_is_killed() {
         let start = Instant::now();
         let error = watch("exec sleep 60", Duration::from_millis(50)).unwrap_err();
-        assert!(error.to_string().contains("no end after 0 s"), "{error}");
+        assert!(error.to_string().contains("silent for 0 s"), "{error}");
         assert!(start.elapsed() < Duration::from_secs(30));
     }
 

@@ -6,7 +6,7 @@
 
 type Row = [f64; 3];
 
-/// Angle between two rotations, in degrees, 0..=180; `None` where six numbers name no rotation (a zero or parallel rows).
+/// Angle between two rotations, in degrees, 0..=180; `None` where six numbers name no rotation (zero or parallel rows).
 ///
 /// # Shapes
 /// `left`, `right` (6): the first two rows of a matrix, row-major; they need not be orthonormal.

@@ -6,6 +6,8 @@
 //! Why here: the presets carry every key, with unit, meaning and source in a comment, so a key that no preset has is a
 //! typing error and is refused.
 
+mod check;
+
 use std::fs;
 use std::path::Path;
 
@@ -272,130 +274,11 @@ impl TrainConfig {
         config.check(source)?;
         Ok(config)
     }
-
-    /// Refuses values that no run could use.
-    ///
-    /// # Errors
-    /// `BadInput` naming the first key whose value is out of range.
-    pub fn check(&self, source: &Path) -> Result<()> {
-        let rules: [(&str, String, bool, &str); 18] = [
-            rule(
-                "hold_out",
-                self.hold_out,
-                (0.0..1.0).contains(&self.hold_out),
-                "0 or more, below 1",
-            ),
-            rule(
-                "decoder.hidden_widths",
-                format!("{:?}", self.decoder.hidden_widths),
-                !self.decoder.hidden_widths.is_empty()
-                    && self.decoder.hidden_widths.iter().all(|width| (1..=65_535).contains(width)),
-                "one width or more, each 1 to 65535",
-            ),
-            rule(
-                "time.sinusoid_count",
-                self.time.sinusoid_count,
-                self.time.sinusoid_count >= 2 && self.time.sinusoid_count.is_multiple_of(2),
-                "an even number of 2 or more",
-            ),
-            rule(
-                "time.base",
-                self.time.base,
-                self.time.base > 1.0 && self.time.base.is_finite(),
-                "a number above 1",
-            ),
-            rule(
-                "codes.sequence_dimensions",
-                self.codes.sequence_dimensions,
-                self.codes.sequence_dimensions >= 1,
-                "1 or more",
-            ),
-            rule(
-                "codes.action_dimensions",
-                self.codes.action_dimensions,
-                self.codes.action_dimensions >= 1,
-                "1 or more",
-            ),
-            rule(
-                "codes.log_variance_start",
-                self.codes.log_variance_start,
-                self.codes.log_variance_start.abs() <= 20.0,
-                "a number from -20 to 20",
-            ),
-            rule(
-                "loss.kl_weight",
-                self.loss.kl_weight,
-                self.loss.kl_weight >= 0.0 && self.loss.kl_weight.is_finite(),
-                "0 or more",
-            ),
-            rule("batch.clips", self.batch.clips, self.batch.clips >= 1, "1 or more"),
-            rule("batch.frames", self.batch.frames, self.batch.frames >= 1, "1 or more"),
-            rule(
-                "update.gradient_norm_max",
-                self.update.gradient_norm_max,
-                self.update.gradient_norm_max >= 0.0,
-                "0 (off) or more",
-            ),
-            rule(
-                "adam.decoder_learning_rate",
-                self.adam.decoder_learning_rate,
-                (0.0..=1.0).contains(&self.adam.decoder_learning_rate),
-                "a number from 0 to 1",
-            ),
-            rule(
-                "adam.code_learning_rate",
-                self.adam.code_learning_rate,
-                (0.0..=1.0).contains(&self.adam.code_learning_rate),
-                "a number from 0 to 1",
-            ),
-            rule(
-                "adam.beta1",
-                self.adam.beta1,
-                (0.0..1.0).contains(&self.adam.beta1),
-                "0 or more, below 1",
-            ),
-            rule(
-                "adam.beta2",
-                self.adam.beta2,
-                (0.0..1.0).contains(&self.adam.beta2),
-                "0 or more, below 1",
-            ),
-            rule("adam.epsilon", self.adam.epsilon, self.adam.epsilon > 0.0, "above 0"),
-            rule(
-                "budget.steps",
-                self.budget.steps,
-                self.budget.steps >= 1 || self.budget.minutes > 0.0,
-                "1 or more, unless `minutes` is above 0",
-            ),
-            rule(
-                "budget.minutes",
-                self.budget.minutes,
-                self.budget.minutes >= 0.0 && self.budget.minutes.is_finite(),
-                "0 or more",
-            ),
-        ];
-        match rules.into_iter().find(|rule| !rule.2) {
-            None => Ok(()),
-            Some((key, value, _, expected)) => {
-                Err(Error::bad_input(source, key, value, expected, "correct the value"))
-            }
-        }
-    }
 }
 
 #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde hands over a reference")]
 fn is_zero(value: &f64) -> bool {
     *value == 0.0
-}
-
-/// (key, its value, whether it is in order, what is expected)
-fn rule<'a>(
-    key: &'a str,
-    value: impl ToString,
-    holds: bool,
-    expected: &'a str,
-) -> (&'a str, String, bool, &'a str) {
-    (key, value.to_string(), holds, expected)
 }
 
 fn preset_table(name: &str) -> Result<Table> {

@@ -5,7 +5,8 @@
 //! Out: lines on the semihosting console, read by `firmware_sim::transcript`; an exit code for QEMU.
 //!
 //! Why here: a fault or a panic must end the run with a non-zero exit code. The start-up code's own handlers
-//! loop for ever, which a test sees only as a time-out. The panic handler is that of `semihosting`: message, exit code 101.
+//! loop for ever, which a test sees only as silence. The panic handler is that of `semihosting`: a message, then
+//! exit code 101.
 
 use cortex_m_rt::{ExceptionFrame, exception};
 use semihosting::{io, io::Write, println, process};
