@@ -185,7 +185,7 @@ fn verbs_explain_themselves_with_an_example() {
     for (program, verbs) in verbs {
         for verb in verbs.split(' ') {
             let help = program.run(&trained().folder, [verb, "--help"]).succeeded();
-            assert!(help.stdout.contains("Example:"), "{verb}: {help}");
+            assert!(help.stdout.contains("Example"), "{verb}: {help}");
         }
     }
 }

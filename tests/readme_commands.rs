@@ -2,12 +2,8 @@
 //!
 //! The convention: commands stand in blocks fenced by "```sh". Every `host-trainer` and `firmware-sim` command line in
 //! such a block is parsed by the program itself, with `--help` added, so that no verb or flag in the text can go stale;
-//! a script that is named must exist. A line right above the block makes it run, in an empty folder, first line to last;
-//! every line must end with exit code 0:
-//!
-//! * `<!-- run -->`: as shown.
-//! * `<!-- run with: --steps 60 -->`: a block of one command, with these flags added, where the command as shown would
-//!   take minutes.
+//! a script that is named must exist. A block right below the line `<!-- run -->` is also run, in an empty folder, from
+//! first to last line; every line must end with exit code 0.
 //!
 //! Programs are started as cargo built them for these tests: `cargo run --release -p host-trainer -- demo` and
 //! `host-trainer demo` both mean `demo` to that program. In a block that is run, everything else (`ls`, `cat`, …) goes
@@ -25,31 +21,7 @@ struct Block {
     place: String,
     /// One a line, continuation lines joined, comments left out.
     commands: Vec<String>,
-    run: Run,
-}
-
-/// What the line above a block asks for.
-#[derive(Debug, PartialEq, Eq)]
-enum Run {
-    Not,
-    AsShown,
-    /// With these flags added.
-    With(String),
-}
-
-impl Run {
-    fn asked_by(line: &str) -> Self {
-        let text =
-            line.strip_prefix("<!-- run").and_then(|rest| rest.strip_suffix("-->")).map(str::trim);
-        match text.map(|text| text.strip_prefix("with:").ok_or(text)) {
-            None => Self::Not,
-            Some(Ok(flags)) => Self::With(flags.trim().to_owned()),
-            Some(Err("")) => Self::AsShown,
-            Some(Err(other)) => {
-                panic!("`run{other}`: write `<!-- run -->` or `<!-- run with: FLAGS -->`")
-            }
-        }
-    }
+    is_run: bool,
 }
 
 /// Every block of every Markdown file that git tracks or would add.
@@ -71,7 +43,7 @@ fn blocks_of(path: &str, text: &str) -> Vec<Block> {
             found.push(Block {
                 place,
                 commands: commands(&body.join("\n")),
-                run: Run::asked_by(before),
+                is_run: before == "<!-- run -->",
             });
         }
         before = line;
@@ -119,10 +91,7 @@ fn readme_shows_commands_and_runs_some() {
     let blocks = blocks();
     let of_readme = || blocks.iter().filter(|block| block.place.starts_with("README.md"));
     assert!(of_readme().any(|block| block.commands.iter().any(|command| ours(command).is_some())));
-    assert!(
-        of_readme().any(|block| block.run != Run::Not),
-        "no block of README.md is marked <!-- run -->"
-    );
+    assert!(of_readme().any(|block| block.is_run), "no block of README.md is marked <!-- run -->");
 }
 
 #[test]
@@ -153,33 +122,20 @@ fn shown_scripts_exist() {
 
 #[test]
 fn blocks_marked_run_do_run() {
-    for Block { place, commands, run } in blocks() {
+    for Block { place, commands, .. } in blocks().into_iter().filter(|block| block.is_run) {
         let folder = sandbox();
-        match run {
-            Run::Not => (),
-            Run::AsShown => {
-                commands.iter().for_each(|command| shell(folder.path(), &place, command))
-            }
-            Run::With(flags) => {
-                assert_eq!(
-                    commands.len(),
-                    1,
-                    "{place}: flags are added to one command, not to several"
-                );
-                shell(folder.path(), &place, &format!("{} {flags}", commands[0]));
-            }
-        }
+        commands.iter().for_each(|command| shell(folder.path(), &place, command));
     }
 }
 
 #[test]
 fn blocks_are_found_and_commands_told_apart() {
-    let text = "<!-- run with: --steps 6 -->\n```sh\n# why\nhost-trainer demo \\\n  --out x # so\nls\n```\n\
-                ```text\nhost-trainer no\n```\n<!-- run -->\n```sh\nls\n```\n";
+    let text = "<!-- run -->\n```sh\n# why\nhost-trainer demo \\\n  --out x # so\nls\n```\n\
+                ```text\nhost-trainer no\n```\n```sh\nls\n```\n";
     let blocks = blocks_of("a.md", text);
-    let [with, as_shown] = &blocks[..] else { panic!("{} blocks", blocks.len()) };
-    assert_eq!((&with.run, &as_shown.run), (&Run::With("--steps 6".into()), &Run::AsShown));
-    assert_eq!(with.commands, ["host-trainer demo    --out x", "ls"]);
+    let [run, shown] = &blocks[..] else { panic!("{} blocks", blocks.len()) };
+    assert_eq!((run.is_run, shown.is_run), (true, false));
+    assert_eq!(run.commands, ["host-trainer demo    --out x", "ls"]);
     let (program, arguments) =
         ours("cargo run --release -p firmware-sim -- run a.kara").expect("ours");
     assert_eq!((program, arguments), (Program::FirmwareSim, "run a.kara"));

@@ -9,7 +9,7 @@
 use karakuri::{ActionId, Model};
 
 use crate::checkpoint::Checkpoint;
-use crate::error::{Error, Result};
+use crate::error::{BLOB, Error, Result};
 
 /// Compares actions, layout, shape, the hash of the training configuration, and the action codes.
 ///
@@ -39,13 +39,13 @@ pub fn check_belonging(checkpoint: &Checkpoint, model: &Model<'_>) -> Result<()>
     let expected = |run: &str| format!("{run}, as in {}", checkpoint.path.display());
     let remedy = "compare a blob with the run that it was quantized from";
     if let Some((field, blob, run)) = facts.into_iter().find(|(_, blob, run)| blob != run) {
-        return Err(Error::bad_input("blob", field, blob, expected(&run), remedy));
+        return Err(Error::bad_input(BLOB, field, blob, expected(&run), remedy));
     }
     let distance = action_code_distance(checkpoint, model);
     if distance > ACTION_CODE_DISTANCE_MAX {
         let distance = format!("up to {distance} steps off");
         let remedy = "the run was trained further since: quantize it again";
-        return Err(Error::bad_input("blob", "action codes", distance, expected("equal"), remedy));
+        return Err(Error::bad_input(BLOB, "action codes", distance, expected("equal"), remedy));
     }
     Ok(())
 }

@@ -4,6 +4,9 @@
 
 use std::path::{Path, PathBuf};
 
+/// Stands for the file of a blob where only its bytes are known; [`Error::in_file`] puts the name there.
+pub(crate) const BLOB: &str = "blob";
+
 /// A fallible result of this library.
 pub type Result<T> = std::result::Result<T, Error>;
 
@@ -72,7 +75,7 @@ pub enum Error {
 
 impl From<karakuri::BlobError> for Error {
     fn from(reason: karakuri::BlobError) -> Self {
-        Self::Blob { file: "blob".to_owned(), reason }
+        Self::Blob { file: BLOB.to_owned(), reason }
     }
 }
 
@@ -107,6 +110,9 @@ impl Error {
     pub fn in_file(self, path: &Path) -> Self {
         match self {
             Self::Blob { reason, .. } => Self::Blob { file: path.display().to_string(), reason },
+            Self::BadInput { file, field, value, expected, remedy } if file == BLOB => {
+                Self::BadInput { file: path.display().to_string(), field, value, expected, remedy }
+            }
             other => other,
         }
     }

@@ -7,7 +7,7 @@ use karakuri::limits::WIDTH_MAX;
 use karakuri::{Decoder, Model, SampleError, Workspace};
 
 use crate::case::Case;
-use crate::error::{Error, Result};
+use crate::error::{BLOB, Error, Result};
 
 /// A workspace for any model that `core` accepts; too large for a thread's stack.
 pub fn widest_workspace() -> Box<Workspace<WIDTH_MAX>> {
@@ -32,5 +32,5 @@ pub fn decode_cases(model: &Model<'_>, cases: &[Case]) -> Result<Vec<Vec<i32>>> 
 fn unknown_motion(case: &Case, error: SampleError) -> Error {
     let motion = format!("action {}, {} frames", case.action, case.frames);
     let remedy = "choose cases for this very model";
-    Error::bad_input("blob", "case", motion, format!("a trained motion ({error})"), remedy)
+    Error::bad_input(BLOB, "case", motion, format!("a trained motion ({error})"), remedy)
 }

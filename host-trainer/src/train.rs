@@ -126,7 +126,11 @@ fn open_run(
             }
             let checkpoint = Checkpoint::start(dataset, config);
             fs::create_dir_all(run).map_err(Error::io("create", run))?;
-            checkpoint.save(run)?;
+            if let Err(error) = checkpoint.save(run) {
+                // Best effort, and only what is empty: an attempt that failed should leave nothing behind.
+                let _ = fs::remove_dir(run);
+                return Err(error);
+            }
             let text = config.to_toml();
             atomic_file::replace(&run.join(CONFIG_FILE_NAME), |file| {
                 std::io::Write::write_all(file, text.as_bytes())
