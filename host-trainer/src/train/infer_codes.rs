@@ -17,8 +17,13 @@ use crate::dataset::{Dataset, DatasetDescription};
 use crate::float_model::CodeTable;
 use crate::train::optimizer::CodeMoments;
 
-/// Passes over the held-out clips. Learning rate: that of the training's codes, to 0 along a cosine.
-pub const PASS_COUNT: u64 = 1000;
+/// Passes over the held-out clips.
+pub const PASS_COUNT: u64 = 2000;
+/// Learning rate at the start; it falls to 0 along a cosine. Codes are of order 1 in every preset, so one rate fits all.
+///
+/// Measured on Reachy Mini with preset `small`: for training clips the codes so found, from the mean of their action,
+/// end within 1 % of the error that training reached; at the training's own rate 3000 passes still left 15 %.
+const LEARNING_RATE: f64 = 0.1;
 
 /// Finds the codes of held-out clips; each starts at the mean of its action's codes.
 ///
@@ -53,6 +58,7 @@ fn at_action_means(checkpoint: &Checkpoint, held_out: &DatasetDescription) -> Ch
     start.optimizer.sequence_codes = CodeMoments::zeros(&start.sequence_codes);
     start.dataset = held_out.clone();
     start.state.step = 0;
+    start.config.adam.code_learning_rate = LEARNING_RATE;
     start
 }
 
