@@ -177,7 +177,8 @@ fn blob_of_version_zero_is_rejected() {
     assert!(matches!(error, BlobError::BadField { field: "format version", .. }), "{error}");
 }
 
-/// Header and descriptions decide what is read where: every byte of them, three changes each, with a checksum that fits.
+/// Header and descriptions decide what is read where: every byte of them, three changes each, with a checksum that
+/// fits.
 #[test]
 fn forged_descriptions_are_rejected_or_harmless() {
     for format in FORMATS {

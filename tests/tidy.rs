@@ -129,7 +129,8 @@ fn functions_are_short() {
 
 #[test]
 fn function_lengths_are_measured() {
-    let text = "fn a() {}\nimpl X {\n    pub const fn b(\n        x: u8,\n    ) -> u8 {\n        x\n    }\n    fn c();\n}\n";
+    let text = "fn a() {}\nimpl X {\n    pub const fn b(\n        x: u8,\n    ) -> u8 {\n        x\n    }\n    \
+                fn c();\n}\n";
     assert_eq!(functions(text), [(1, "a".into(), 1), (3, "b".into(), 5), (8, "c".into(), 1)]);
 }
 

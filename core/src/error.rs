@@ -4,7 +4,8 @@ use core::fmt;
 
 use crate::manifest::NumberFormat;
 
-/// Why a blob cannot be used. After `Model::from_bytes` has succeeded only [`WorkspaceTooSmall`](Self::WorkspaceTooSmall) remains.
+/// Why a blob cannot be used. After `Model::from_bytes` has succeeded only
+/// [`WorkspaceTooSmall`](Self::WorkspaceTooSmall) remains.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum BlobError {

@@ -441,7 +441,9 @@ mod tests {
             crate::blob::seal_again(&mut blob);
             if let Ok(model) = Model::from_bytes(&blob) {
                 for action in 0..3 {
-                    let _ = model.sample(ActionId(action), *model.trained_frames(ActionId(action)).start(), &mut || seed);
+                    let action = ActionId(action);
+                    let frames = *model.trained_frames(action).start();
+                    let _ = model.sample(action, frames, &mut || seed);
                 }
                 let mut workspace = crate::Workspace::<64>::new();
                 if let Ok(mut decoder) = crate::Decoder::new(&model, &mut workspace) {

@@ -3,8 +3,9 @@
 //! In:  the manifest of a blob (`blob.rs`).
 //! Out: the order, width and unit of every channel of a pose.
 //!
-//! Why here: trainer and firmware must agree on one meaning of channel 17, so it is stored in the blob and defined once.
-//! Source: Zhou et al., CVPR 2019 (6D rotations); pytorch3d's convention (first two rows of the matrix, row-major).
+//! Why here: trainer and firmware must agree on one meaning of channel 17, so it is stored in the blob and defined
+//! once. Source: Zhou et al., CVPR 2019 (6D rotations); pytorch3d's convention (first two rows of the matrix,
+//! row-major).
 
 use serde::{Deserialize, Serialize};
 

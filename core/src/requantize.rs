@@ -2,7 +2,8 @@
 //!
 //! Source: gemmlowp's quantisation note for multiplier and shift; unlike gemmlowp the product is rounded once.
 
-/// `real factor = multiplier / 2^31 · 2^shift`, with `multiplier` in 2^30..2^31 (or 0) and a positive shift to the left.
+/// `real factor = multiplier / 2^31 · 2^shift`, with `multiplier` in 2^30..2^31 (or 0) and a positive shift to the
+/// left.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Requantizer {
     multiplier: i32,

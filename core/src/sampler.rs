@@ -1,7 +1,8 @@
 //! Station 8: (action, length, random numbers) → code, from tables in flash.
 //!
 //! Two kinds of table share one shape. `ClipCodes`: a component is a training clip's own code; a draw takes one clip of
-//! the interval, moves a random share of the way towards another, and adds noise of one σ per number, shared by all clips.
+//! the interval, moves a random share of the way towards another, and adds noise of one σ per number, shared by all
+//! clips.
 //! `DiagonalMixture`: a component is a Gaussian with its own σ per number.
 //!
 //! Why here: full covariances do not fit a microcontroller, and clip codes at one byte a number scored better than

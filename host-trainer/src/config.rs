@@ -34,7 +34,8 @@ pub const PRESETS: [(&str, &str); 4] = [
 pub enum Reduction {
     /// Mean over all channels.
     Channel,
-    /// Mean inside each kind of group, summed over the kinds: three channels of translation weigh as much as 144 of rotation.
+    /// Mean inside each kind of group, summed over the kinds: three channels of translation weigh as much as 144 of
+    /// rotation.
     Kind,
 }
 

@@ -41,7 +41,8 @@ pub struct FloatModel {
     pub sequence_code_count: usize,
     /// See `sequence_code_count`.
     pub action_code_count: usize,
-    /// Angular frequency of each sinusoid pair, radians per frame; τ = [sin(w_0 t), cos(w_0 t), sin(w_1 t), …]. // (pair)
+    /// Angular frequency of each sinusoid pair, radians per frame; τ = [sin(w_0 t), cos(w_0 t), sin(w_1 t), …]. //
+    /// (pair)
     pub frequencies_rad: Vec<f64>,
     /// The layers.
     pub layers: Vec<DenseLayer>,

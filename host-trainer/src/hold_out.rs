@@ -3,8 +3,8 @@
 //! In:  [`ClipSet`] of an importer; share and seed of the configuration.
 //! Out: training clips and held-out clips, to `represent`.
 //!
-//! Why here: before anything is measured on the clips (skeleton, mean, scale), so that nothing of a held-out clip reaches
-//! a checkpoint but its name, action and length.
+//! Why here: before anything is measured on the clips (skeleton, mean, scale), so that nothing of a held-out clip
+//! reaches a checkpoint but its name, action and length.
 
 use std::collections::BTreeMap;
 

@@ -1,7 +1,8 @@
 //! How well a decoder gives clips back, in units that mean something.
 //!
 //! In:  a checkpoint or a blob, with the dataset whose codes it has: that of the training, or held-out clips.
-//! Out: errors per kind of channel group, per group and, for bodies, of the joints in millimetres, root and local apart.
+//! Out: errors per kind of channel group, per group and, for bodies, of the joints in millimetres, root and local
+//! apart.
 //!
 //! Why here: the same figures are wanted of the float model and of every number format, so the source of the poses is
 //! the only thing that differs. Mean codes, no noise (published code: evaluation mode).
@@ -83,7 +84,8 @@ struct Magnitudes {
 
 /// Decodes every `stride`-th frame of every clip from its mean code and compares.
 ///
-/// `bones` are the clips' own where rotations were found by inverse kinematics (see `represent_with_bones`), else empty.
+/// `bones` are the clips' own where rotations were found by inverse kinematics (see `represent_with_bones`), else
+/// empty.
 pub fn reconstruct(
     checkpoint: &Checkpoint,
     source: Source<'_>,

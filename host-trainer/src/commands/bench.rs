@@ -27,6 +27,7 @@ use crate::train::step::Trainer;
 
 /// What the user types after `bench`.
 #[derive(Clone, Debug, clap::Args)]
+#[command(after_help = "Example:\n  host-trainer bench --seconds 10")]
 pub struct BenchArgs {
     /// Print JSON instead of a table
     #[arg(long)]

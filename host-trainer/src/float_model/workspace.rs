@@ -1,7 +1,8 @@
 //! The buffers that the forward and backward pass share.
 //!
-//! Why here: the rows of a batch are cut into blocks, and a block goes through all layers on one thread. So a pass meets
-//! its threads once instead of once a layer, and the result does not depend on their number, because the blocks do not.
+//! Why here: the rows of a batch are cut into blocks, and a block goes through all layers on one thread. So a pass
+//! meets its threads once instead of once a layer, and the result does not depend on their number, because the blocks
+//! do not.
 
 use core::ops::Range;
 
@@ -11,7 +12,8 @@ use super::FloatModel;
 use super::forward::Rows;
 use crate::simd;
 
-/// Most rows of a block: few enough that a batch feeds several threads, many enough that reading a layer's weights pays.
+/// Most rows of a block: few enough that a batch feeds several threads, many enough that reading a layer's weights
+/// pays.
 const BLOCK_ROWS_MAX: usize = 128;
 
 /// All buffers that the passes need; sized once for the largest batch.
@@ -112,7 +114,8 @@ impl Workspace {
         })
     }
 
-    /// Row by row the pose, and the place for the loss's gradient by it that starts the backward pass. // (channel) each
+    /// Row by row the pose, and the place for the loss's gradient by it that starts the backward pass. // (channel)
+    /// each
     pub fn outputs_and_deltas(&mut self) -> impl Iterator<Item = (&[f32], &mut [f32])> {
         self.blocks[..self.block_count].iter_mut().flat_map(|block| {
             let last = block.layers.len() - 1;

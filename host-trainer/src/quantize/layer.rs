@@ -123,9 +123,9 @@ pub fn requantizer_of(factor: f64) -> Requantizer {
 
 /// The scale at which the stored activations of a layer fit `range`.
 ///
-/// Ranges of 16 bits are symmetric, with a quarter of head room for codes that calibration did not see. Ranges of 8 bits
-/// have no step to spare: the zero point moves so that all are used (ELU never falls below −1), and of 64 ranges the one
-/// with the least mean square error wins, since clipping a rare extreme may cost less than coarser steps.
+/// Ranges of 16 bits are symmetric, with a quarter of head room for codes that calibration did not see. Ranges of 8
+/// bits have no step to spare: the zero point moves so that all are used (ELU never falls below −1), and of 64 ranges
+/// the one with the least mean square error wins, since clipping a rare extreme may cost less than coarser steps.
 pub fn activation_scale(observed: &Observed, range: (i16, i16)) -> InputScale {
     let (low, high) = (f64::from(range.0), f64::from(range.1));
     let (min, max) = (f64::from(observed.min), f64::from(observed.max));

@@ -210,7 +210,8 @@ impl Batch {
     /// A frame in 0..=`last` that the clip has not got yet; `last` itself when the draw is taken.
     ///
     /// # Source
-    /// Floyd's algorithm (Bentley, CACM 1987): with `last` running over the final frames, every subset is equally likely.
+    /// Floyd's algorithm (Bentley, CACM 1987): with `last` running over the final frames, every subset is equally
+    /// likely.
     fn unused_frame(&self, last: usize, first_row: usize, rng: &mut impl Rng) -> usize {
         let frame = rng.random_range(0..=last);
         let taken = self.moment_of_row[first_row..].iter().any(|&m| self.moments[m] == frame);

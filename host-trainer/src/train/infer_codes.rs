@@ -3,8 +3,8 @@
 //! In:  a trained [`Checkpoint`]; a [`Dataset`] of held-out clips.
 //! Out: the checkpoint with one code a held-out clip in place of the training clips' codes, to `reconstruct`.
 //!
-//! Why here: there is no encoder to ask. So β is learned as in training, by the same step on the same loss with the same
-//! noise and KL, while decoder and α stay as they are. What then remains is what the decoder cannot express.
+//! Why here: there is no encoder to ask. So β is learned as in training, by the same step on the same loss with the
+//! same noise and KL, while decoder and α stay as they are. What then remains is what the decoder cannot express.
 //!
 //! Source: Park et al., CVPR 2019 (DeepSDF), section 4.2: an unseen shape's code is the minimum of the loss over codes.
 
