@@ -19,7 +19,7 @@ use crate::train::optimizer::CodeMoments;
 
 /// Passes over the held-out clips.
 pub const PASS_COUNT: u64 = 2000;
-/// Learning rate at the start; it falls to 0 along a cosine. Codes are of order 1 in every preset, so one rate fits all.
+/// Learning rate at the start; it falls to 0 along a cosine. Codes are of order 1 in every preset, so one rate fits.
 ///
 /// Measured on Reachy Mini with preset `small`: for training clips the codes so found, from the mean of their action,
 /// end within 1 % of the error that training reached; at the training's own rate 3000 passes still left 15 %.
