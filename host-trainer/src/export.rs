@@ -1,4 +1,4 @@
-//! Station 10: generated poses → files that others read.
+//! Generated poses → files that others read.
 //!
 //! In:  [`Motion`] from `generate`.
 //! Out: CSV (read again by the importer), NumPy, or JSON; each written whole or not at all.
