@@ -33,9 +33,12 @@ mod integer;
 mod half_float;
 mod decoder;
 mod pose;
-#[cfg(feature = "angles")]
-pub mod angles;
+mod unit_vector;
+mod arc_tangent;
+mod rotation;
 mod servo;
+#[cfg(test)]
+mod deviation;
 #[cfg(test)]
 mod specimen;
 
@@ -48,6 +51,7 @@ pub use pose::Pose;
 pub use pose_layout::{GroupKind, Unit};
 pub use random::Pcg32;
 pub use requantize::Requantizer;
+pub use rotation::{Axis, AxisOrder, Rotation};
 pub use servo::{ServoCommand, ServoMap, ServoStage};
 pub use time_embedding::FramePosition;
 pub use workspace::Workspace;
