@@ -36,6 +36,7 @@ mod pose;
 mod unit_vector;
 mod arc_tangent;
 mod rotation;
+mod servo_input;
 mod servo;
 #[cfg(test)]
 mod deviation;
