@@ -8,13 +8,15 @@
 use crate::blob::{Envelope, aligned};
 use crate::code::Code;
 use crate::error::{BlobError, SampleError};
-use crate::layer::Layer;
+use crate::kernel;
+use crate::layer::{Layer, Order};
 use crate::limits::{CHANNELS_MAX, CODE_MAX, LAYERS_MAX, NAMES_MAX, SINUSOIDS_MAX, WIDTH_MAX};
 use crate::manifest::{
-    CODE_LAYER, Group, Joint, LayerShape, Manifest, NumberFormat, Provenance, SamplerKind,
+    CODE_LAYER, Group, Joint, LayerShape, Manifest, NumberFormat, Packing, Provenance, SamplerKind,
     TIME_LAYER, TensorKind, tensor_plan,
 };
 use crate::sampler::Sampler;
+use crate::time_embedding::FramePosition;
 
 /// Index of an action; the order of [`Model::actions`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -27,6 +29,8 @@ pub struct Model<'a> {
     /// Postcard of groups, action names and joints.
     names: &'a [u8],
     pub(crate) frequencies: &'a [u8],
+    /// i16. // (frame, out)
+    time_table: &'a [u8],
     pub(crate) sampler: Sampler<'a>,
     /// Code half of layer 1, time half of layer 1, then the others.
     pub(crate) layers: heapless::Vec<Layer<'a>, LAYERS_MAX>,
@@ -44,14 +48,22 @@ impl<'a> Model<'a> {
         let envelope = Envelope::parse(bytes)?;
         let (manifest, names) = postcard::take_from_bytes::<Manifest<'a>>(envelope.descriptions)
             .map_err(|_| BlobError::BadField { field: "manifest", value: 0 })?;
+        check_build(&manifest, bytes)?;
         check_limits(&manifest)?;
         check_shapes(&manifest)?;
         let mut model = Self::slice_tensors(&envelope, manifest, names)?;
         model.check_names()?;
         model.sampler.check()?;
         let format = model.manifest.number_format;
+        let hidden = TIME_LAYER..model.layers.len().saturating_sub(1);
         for (index, layer) in model.layers.iter_mut().enumerate() {
             layer.check(index, format)?;
+            if format != NumberFormat::F16 && hidden.contains(&index) && !layer.is_narrow() {
+                return Err(BlobError::BadField {
+                    field: "row scale of layer",
+                    value: index as u32,
+                });
+            }
         }
         Ok(model)
     }
@@ -63,9 +75,12 @@ impl<'a> Model<'a> {
         names: &'a [u8],
     ) -> Result<Self, BlobError> {
         let found = envelope.bytes.len();
-        let (mut frequencies, mut sampler) = (&[][..], Sampler::new(&manifest));
+        let (mut frequencies, mut time_table) = (&[][..], &[][..]);
+        let mut sampler = Sampler::new(&manifest);
+        let (packing, format) = (manifest.packing, manifest.number_format);
+        let layer = |(index, &shape)| Layer::new(shape, packing, format, index);
         let mut layers: heapless::Vec<Layer<'a>, LAYERS_MAX> =
-            manifest.layers.iter().map(|&shape| Layer::new(shape)).collect();
+            manifest.layers.iter().enumerate().map(layer).collect();
         let mut end = envelope.tensors_start();
         for (kind, length) in tensor_plan(&manifest) {
             let start = aligned(end);
@@ -77,10 +92,11 @@ impl<'a> Model<'a> {
                 .ok_or(BlobError::WrongLength { found, expected })?;
             match kind {
                 TensorKind::Frequencies => frequencies = tensor,
+                TensorKind::TimeTable => time_table = tensor,
                 TensorKind::Weights(index)
+                | TensorKind::GroupScales(index)
                 | TensorKind::Bias(index)
-                | TensorKind::Multipliers(index)
-                | TensorKind::Shifts(index) => {
+                | TensorKind::Scales(index) => {
                     if let Some(layer) = layers.get_mut(index) {
                         layer.set_tensor(kind, tensor);
                     }
@@ -92,7 +108,7 @@ impl<'a> Model<'a> {
             let expected = usize::try_from(end).unwrap_or(usize::MAX);
             return Err(BlobError::WrongLength { found, expected });
         }
-        Ok(Self { manifest, names, frequencies, sampler, layers })
+        Ok(Self { manifest, names, frequencies, time_table, sampler, layers })
     }
 
     /// Walks all names once, so that the iterators below cannot meet a broken one later.
@@ -224,11 +240,36 @@ impl<'a> Model<'a> {
 
     /// Width of the [`Workspace`](crate::Workspace) that the model needs.
     pub fn workspace_width(&self) -> usize {
-        let time_and_hidden = self.manifest.layers.iter().skip(TIME_LAYER);
-        time_and_hidden
-            .map(|shape| shape.input_count.max(shape.output_count))
-            .max()
-            .map_or(0, usize::from)
+        let widths = self.manifest.layers.iter().enumerate().map(|(index, shape)| {
+            let codes_need_room = index != CODE_LAYER || self.number_format() != NumberFormat::F16;
+            let columns = if codes_need_room { shape.columns_filled() } else { 0 };
+            columns.max(shape.rows_filled())
+        });
+        widths.max().unwrap_or(0)
+    }
+
+    pub(crate) fn check_width(&self, width: usize) -> Result<(), BlobError> {
+        let needed = self.workspace_width();
+        if width < needed {
+            return Err(BlobError::WorkspaceTooSmall { width, needed });
+        }
+        Ok(())
+    }
+
+    /// Products of the time half at a position, i16 a row, where the blob's time table holds them.
+    pub(crate) fn time_table_row(&self, position: FramePosition) -> Option<&'a [u8]> {
+        let frame = position.whole_frame()?;
+        if frame >= u32::from(self.manifest.time_table_frames) {
+            return None;
+        }
+        let bytes = 2 * self.manifest.layers.get(TIME_LAYER)?.rows_filled();
+        let start = usize::try_from(frame).ok()?.checked_mul(bytes)?;
+        self.time_table.get(start..)?.get(..bytes)
+    }
+
+    /// What the integer kernels need for two frames in one pass: tiles of 8-bit weights in every layer.
+    pub(crate) fn has_pair_kernels(&self) -> bool {
+        self.layers.iter().all(|layer| matches!(layer.order, Order::Bytes | Order::Halfwords))
     }
 
     /// Multiply-accumulates to begin a motion (the code half of layer 1).
@@ -244,6 +285,25 @@ impl<'a> Model<'a> {
 
 fn multiply_accumulates(shape: &LayerShape) -> u64 {
     u64::from(shape.input_count) * u64::from(shape.output_count)
+}
+
+/// Refuses, by name, what this build cannot decode.
+fn check_build(manifest: &Manifest<'_>, bytes: &[u8]) -> Result<(), BlobError> {
+    let format = manifest.number_format;
+    if !format.is_built() {
+        return Err(BlobError::FormatNotBuilt(format));
+    }
+    if !kernel::TAKES_ROWS && manifest.packing == Packing::Rows && format != NumberFormat::F16 {
+        return Err(BlobError::PackedForAnotherKernel {
+            packing: manifest.packing,
+            family: kernel::FAMILY,
+        });
+    }
+    let misalignment = bytes.as_ptr().addr() % kernel::ALIGNMENT;
+    if misalignment != 0 {
+        return Err(BlobError::Misaligned { misalignment, alignment: kernel::ALIGNMENT });
+    }
+    Ok(())
 }
 
 fn check_limits(manifest: &Manifest<'_>) -> Result<(), BlobError> {
@@ -263,6 +323,7 @@ fn check_limits(manifest: &Manifest<'_>) -> Result<(), BlobError> {
         ("code fraction bits", u32::from(manifest.code_fraction_bits), 15),
         ("components", manifest.sampler.component_count, u16::MAX as usize),
         ("step towards a neighbour", manifest.sampler.step_max_q16, 1 << 16),
+        ("time table shift", u32::from(manifest.time_table_shift), 15),
     ];
     match limited.into_iter().find(|&(_, value, max)| value as usize > max) {
         Some((field, value, max)) => Err(BlobError::OverLimit { field, value, max: max as u32 }),
