@@ -299,7 +299,7 @@ fn check_build(manifest: &Manifest<'_>, bytes: &[u8]) -> Result<(), BlobError> {
             family: kernel::FAMILY,
         });
     }
-    let misalignment = bytes.as_ptr().addr() % kernel::ALIGNMENT;
+    let misalignment = bytes.as_ptr().addr() & (kernel::ALIGNMENT - 1);
     if misalignment != 0 {
         return Err(BlobError::Misaligned { misalignment, alignment: kernel::ALIGNMENT });
     }
