@@ -8,6 +8,7 @@
 
 pub mod calibrate;
 pub mod layer;
+pub mod nibble;
 pub mod sampler;
 
 use std::f64::consts::TAU;
