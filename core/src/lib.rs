@@ -24,6 +24,7 @@ pub mod blob;
 pub mod packing;
 pub mod kernel;
 mod layer;
+mod manifest_check;
 mod model;
 mod code;
 mod sampler;
