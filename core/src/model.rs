@@ -324,6 +324,7 @@ mod tests {
 
     use super::*;
     use crate::blob::{HEADER_BYTES, VERSION};
+    use crate::manifest::SamplerKind;
     use crate::specimen::specimen;
 
     fn w8a16() -> Vec<u8> {
