@@ -14,6 +14,8 @@
 //! All sums wrap; the loader has proved for every row that its final sum fits.
 
 pub mod portable;
+#[cfg(karakuri_kernel = "dsp")]
+mod dsp;
 
 /// Name of the family that `build.rs` chose, for reports and tests.
 pub const FAMILY: &str = env!("KARAKURI_KERNEL");
@@ -30,4 +32,7 @@ pub const GROUP_TILES: usize = 8;
 /// Bytes of the scales of a group: a u16 for each of the four rows.
 pub const GROUP_SCALE_BYTES: usize = 8;
 
+#[cfg(karakuri_kernel = "dsp")]
+pub use dsp::{f16, w4a8, w8a8, w8a8_pair, w8a16, w8a16_pair};
+#[cfg(not(karakuri_kernel = "dsp"))]
 pub use portable::{f16, w4a8, w8a8, w8a8_pair, w8a16, w8a16_pair};
