@@ -11,8 +11,10 @@
 
 use core::arch::global_asm;
 
-use super::is_aligned;
-use crate::kernel::{Quad, TILE_BYTES, portable};
+use super::run;
+use crate::kernel::Quad;
+#[cfg(doc)]
+use crate::kernel::portable;
 
 unsafe extern "C" {
     fn karakuri_dsp_w8a16_pair(
@@ -31,22 +33,12 @@ unsafe extern "C" {
 
 /// [`portable::w8a16_pair`]: 28 instructions a tile, and 4 every 8 tiles.
 pub fn w8a16_pair(tiles: &[u8], quads: &[[Quad; 2]], sums: &mut [[i32; 4]; 2]) {
-    if !is_aligned(tiles) {
-        return portable::w8a16_pair(tiles, quads, sums);
-    }
-    let count = (tiles.len() / TILE_BYTES).min(quads.len());
-    // SAFETY: `count` tiles and pairs of quads exist; the weights are aligned; see the module.
-    unsafe { karakuri_dsp_w8a16_pair(tiles.as_ptr(), quads.as_ptr(), count, sums) }
+    run(karakuri_dsp_w8a16_pair, tiles, quads, sums);
 }
 
 /// [`portable::w8a8_pair`]: 24 instructions a tile, and 4 every 8 tiles.
 pub fn w8a8_pair(tiles: &[u8], quads: &[[Quad; 2]], sums: &mut [[i32; 4]; 2]) {
-    if !is_aligned(tiles) {
-        return portable::w8a8_pair(tiles, quads, sums);
-    }
-    let count = (tiles.len() / TILE_BYTES).min(quads.len());
-    // SAFETY: `count` tiles and pairs of quads exist; the weights are aligned; see the module.
-    unsafe { karakuri_dsp_w8a8_pair(tiles.as_ptr(), quads.as_ptr(), count, sums) }
+    run(karakuri_dsp_w8a8_pair, tiles, quads, sums);
 }
 
 // r0 tiles, r1 quads, r2 tiles left, r3 bytes 1 and 3, r4-r7 quads of frame A and B, r8 and r9 weights of two rows,
@@ -54,7 +46,7 @@ pub fn w8a8_pair(tiles: &[u8], quads: &[[Quad; 2]], sums: &mut [[i32; 4]; 2]) {
 // The function calls its own second half for rows 0 and 1, then runs into it for rows 2 and 3.
 global_asm!(
     r#"
-    .macro karakuri_row sum_a, sum_b, weights
+    .macro karakuri_row_w8a16 sum_a, sum_b, weights
     sxtb16  r3, \weights, ror #8
     sxtb16  \weights, \weights
     smlad   \sum_a, r3, r5, \sum_a
@@ -62,49 +54,7 @@ global_asm!(
     smlad   \sum_a, \weights, r4, \sum_a
     smlad   \sum_b, \weights, r6, \sum_b
     .endm
-
-    .cpu    cortex-m4
-    .section .text.karakuri_dsp_w8a16_pair, "ax", %progbits
-    .global karakuri_dsp_w8a16_pair
-    .type   karakuri_dsp_w8a16_pair, %function
-    .thumb_func
-karakuri_dsp_w8a16_pair:
-    push    {r0-r3, lr}
-    bl      2f
-    pop     {r0-r3, lr}
-    adds    r0, r0, #8
-    adds    r3, r3, #8
-2:  push    {r3-r11, lr}
-    ldrd    r10, r11, [r3]
-    ldrd    r12, lr, [r3, #16]
-    and     r3, r2, #7
-    tbh     [pc, r3, lsl #1]
-3:  .irp    left, 0, 1, 2, 3, 4, 5, 6, 7
-    .hword  (5f - 3b - \left * ((5f - 4f) / 8)) / 2
-    .endr
-4:  .rept   8
-    ldm     r1!, {r4-r7}
-    ldrd    r8, r9, [r0], #16
-    karakuri_row r10, r12, r8
-    karakuri_row r11, lr, r9
-    .endr
-5:  subs    r2, r2, #8
-    bhs     4b
-    pop     {r3}
-    strd    r10, r11, [r3]
-    strd    r12, lr, [r3, #16]
-    pop     {r4-r11, pc}
-    .size   karakuri_dsp_w8a16_pair, . - karakuri_dsp_w8a16_pair
-    .purgem karakuri_row
-    .text
-    "#,
-    options(raw)
-);
-
-// The same registers, except that r3 is free: raw words and their low bytes follow each other in one register.
-global_asm!(
-    r#"
-    .macro karakuri_row sum_a, sum_b, weights
+    .macro karakuri_row_w8a8 sum_a, sum_b, weights
     smlad   \sum_a, \weights, r5, \sum_a
     smlad   \sum_b, \weights, r7, \sum_b
     sxtb16  \weights, \weights
@@ -112,12 +62,12 @@ global_asm!(
     smlad   \sum_b, \weights, r6, \sum_b
     .endm
 
-    .cpu    cortex-m4
-    .section .text.karakuri_dsp_w8a8_pair, "ax", %progbits
-    .global karakuri_dsp_w8a8_pair
-    .type   karakuri_dsp_w8a8_pair, %function
+    .macro karakuri_pair name, row
+    .section .text.\name, "ax", %progbits
+    .global \name
+    .type   \name, %function
     .thumb_func
-karakuri_dsp_w8a8_pair:
+\name:
     push    {r0-r3, lr}
     bl      2f
     pop     {r0-r3, lr}
@@ -134,8 +84,8 @@ karakuri_dsp_w8a8_pair:
 4:  .rept   8
     ldm     r1!, {r4-r7}
     ldrd    r8, r9, [r0], #16
-    karakuri_row r10, r12, r8
-    karakuri_row r11, lr, r9
+    \row    r10, r12, r8
+    \row    r11, lr, r9
     .endr
 5:  subs    r2, r2, #8
     bhs     4b
@@ -143,8 +93,15 @@ karakuri_dsp_w8a8_pair:
     strd    r10, r11, [r3]
     strd    r12, lr, [r3, #16]
     pop     {r4-r11, pc}
-    .size   karakuri_dsp_w8a8_pair, . - karakuri_dsp_w8a8_pair
-    .purgem karakuri_row
+    .size   \name, . - \name
+    .endm
+
+    .cpu    cortex-m4
+    karakuri_pair karakuri_dsp_w8a16_pair, karakuri_row_w8a16
+    karakuri_pair karakuri_dsp_w8a8_pair, karakuri_row_w8a8
+    .purgem karakuri_pair
+    .purgem karakuri_row_w8a8
+    .purgem karakuri_row_w8a16
     .text
     "#,
     options(raw)
