@@ -17,9 +17,6 @@ pub mod portable;
 #[cfg(karakuri_kernel = "dsp")]
 mod dsp;
 
-/// Name of the family that `build.rs` chose, for reports and tests.
-pub const FAMILY: &str = env!("KARAKURI_KERNEL");
-
 /// Four activations; see the module for the order.
 pub type Quad = [u32; 2];
 
@@ -32,7 +29,30 @@ pub const GROUP_TILES: usize = 8;
 /// Bytes of the scales of a group: a u16 for each of the four rows.
 pub const GROUP_SCALE_BYTES: usize = 8;
 
+/// Name of the family that `build.rs` chose.
+pub const FAMILY: &str = if cfg!(karakuri_kernel = "dsp") {
+    "dsp"
+} else if cfg!(karakuri_kernel = "armv7m") {
+    "armv7m"
+} else if cfg!(karakuri_kernel = "armv6m") {
+    "armv6m"
+} else if cfg!(karakuri_kernel = "vector") {
+    "vector"
+} else {
+    "portable"
+};
+
+/// Whether the family reads [`Packing::Rows`](crate::manifest::Packing::Rows).
+pub const TAKES_ROWS: bool = cfg!(karakuri_rows);
+
+/// Bytes at whose multiples a blob must start: the assembly loads whole words.
+pub const ALIGNMENT: usize = if TAKES_ROWS { 1 } else { 4 };
+
+#[cfg(karakuri_rows)]
+pub mod rows;
+
 #[cfg(karakuri_kernel = "dsp")]
-pub use dsp::{f16, w4a8, w8a8, w8a8_pair, w8a16, w8a16_pair};
+pub use dsp::{w4a8, w8a8, w8a8_pair, w8a16, w8a16_pair};
+pub use portable::f16;
 #[cfg(not(karakuri_kernel = "dsp"))]
-pub use portable::{f16, w4a8, w8a8, w8a8_pair, w8a16, w8a16_pair};
+pub use portable::{w4a8, w8a8, w8a8_pair, w8a16, w8a16_pair};

@@ -31,10 +31,11 @@ mod w4a8;
 
 use core::arch::global_asm;
 
-use super::{Quad, TILE_BYTES, portable};
+#[cfg(doc)]
+use super::portable;
+use super::{Quad, TILE_BYTES};
 
 pub use pair::{w8a8_pair, w8a16_pair};
-pub use portable::f16;
 pub use w4a8::w4a8;
 
 /// An assembly kernel: tiles at a multiple of 4, activations, how many there are of both, sums.
