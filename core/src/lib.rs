@@ -49,5 +49,5 @@ pub use pose_layout::{GroupKind, Unit};
 pub use random::Pcg32;
 pub use requantize::Requantizer;
 pub use servo::{ServoCommand, ServoMap, ServoStage};
-pub use time_embedding::FramePosition;
+pub use time_embedding::{FramePosition, sinusoids_q15};
 pub use workspace::Workspace;

@@ -57,12 +57,18 @@ pub(crate) fn embed<Value>(
     store: impl Fn(i16) -> Value,
 ) {
     for (pair, step) in output.chunks_exact_mut(2).zip(u32s(steps)) {
-        let phase = position.phase(step);
         if let [sine, cosine] = pair {
-            *sine = store(sine_q15(phase));
-            *cosine = store(sine_q15(phase.wrapping_add(QUARTER_TURN)));
+            let [sine_q15, cosine_q15] = sinusoids_q15(position, step);
+            *sine = store(sine_q15);
+            *cosine = store(cosine_q15);
         }
     }
+}
+
+/// `[sin, cos]` of one frequency, in Q0.15; `step` is turns per frame · 2^32.
+pub fn sinusoids_q15(position: FramePosition, step: u32) -> [i16; 2] {
+    let phase = position.phase(step);
+    [sine_q15(phase), sine_q15(phase.wrapping_add(QUARTER_TURN))]
 }
 
 #[cfg(test)]

@@ -7,6 +7,7 @@
 //! split into its code half and its time half. Offsets are `karakuri::blob`'s business.
 
 pub mod calibrate;
+pub mod effective;
 pub mod layer;
 pub mod nibble;
 pub mod sampler;
@@ -45,6 +46,8 @@ pub struct QuantizeInput<'a> {
     pub dataset: &'a DatasetDescription,
     /// Length intervals and mixtures.
     pub mixtures: &'a MixtureSet,
+    /// How hidden activations are stored, if tuning has settled that for the format; otherwise it is calibrated.
+    pub tuned: Option<&'a [InputScale]>,
     /// Where the checkpoint comes from.
     pub provenance: Provenance,
 }
@@ -131,7 +134,7 @@ fn check_fits(layers: &[DenseLayer], input: &QuantizeInput<'_>) -> Result<()> {
 }
 
 /// Layers as the device has them: code half, time half (without bias), the others; the last in channel units.
-fn split_layers(model: &FloatModel, dataset: &DatasetDescription) -> Vec<DenseLayer> {
+pub(crate) fn split_layers(model: &FloatModel, dataset: &DatasetDescription) -> Vec<DenseLayer> {
     let first = &model.layers[0];
     let code_count = model.sequence_code_count + model.action_code_count;
     let columns = |range: std::ops::Range<usize>, bias: Vec<f32>| DenseLayer {
@@ -206,23 +209,22 @@ fn integer_layers(
     format: NumberFormat,
     fraction_bits: u8,
 ) -> Result<QuantizedLayers> {
-    let cases = calibration_cases(
-        input.sequence_codes,
-        input.action_codes,
-        input.dataset,
-        input.mixtures,
-        input.provenance.seed,
-    )?;
-    let observed = calibrate(input.model, &cases);
-    let inputs = input_scales(&observed, format, fraction_bits);
+    let (hidden, means) = match input.tuned {
+        Some(hidden) => (hidden.to_vec(), vec![Vec::new(); hidden.len()]),
+        None => {
+            let observed = observe_activations(input)?;
+            let hidden = activation_scales(&observed, format);
+            (hidden, observed.into_iter().map(|observed| observed.mean).collect())
+        }
+    };
+    let inputs = input_scales(&hidden, format, fraction_bits);
     let mut result =
         QuantizedLayers { shapes: Vec::new(), tensors: Vec::new(), accumulator_use: Vec::new() };
     let mut time_half = Vec::new();
     // The time half first: the code half is requantised to its accumulators.
     for index in (0..layers.len()).rev() {
-        let means = index
-            .checked_sub(TIME_LAYER + 1)
-            .map_or(&[][..], |above| observed[above].mean.as_slice());
+        let means =
+            index.checked_sub(TIME_LAYER + 1).map_or(&[][..], |above| means[above].as_slice());
         let quantized = quantize_layer(&layers[index], inputs[index], means);
         let factors: Vec<f64> = match index {
             CODE_LAYER => quantized
@@ -250,8 +252,32 @@ fn integer_layers(
     Ok(result)
 }
 
+/// What flows through the hidden layers for the codes that a device will see. // (hidden layer)
+///
+/// # Errors
+/// Those of [`calibration_cases`].
+pub(crate) fn observe_activations(input: &QuantizeInput<'_>) -> Result<Vec<Observed>> {
+    let cases = calibration_cases(
+        input.sequence_codes,
+        input.action_codes,
+        input.dataset,
+        input.mixtures,
+        input.provenance.seed,
+    )?;
+    Ok(calibrate(input.model, &cases))
+}
+
+/// How hidden activations are stored. // (hidden layer)
+pub(crate) fn activation_scales(observed: &[Observed], format: NumberFormat) -> Vec<InputScale> {
+    observed.iter().map(|observed| activation_scale(observed, format.activation_range())).collect()
+}
+
 /// How the inputs of every layer are stored.
-fn input_scales(observed: &[Observed], format: NumberFormat, fraction_bits: u8) -> Vec<InputScale> {
+pub(crate) fn input_scales(
+    hidden: &[InputScale],
+    format: NumberFormat,
+    fraction_bits: u8,
+) -> Vec<InputScale> {
     let code = InputScale {
         scale: 2f64.powi(-i32::from(fraction_bits)),
         zero_point: 0,
@@ -259,9 +285,7 @@ fn input_scales(observed: &[Observed], format: NumberFormat, fraction_bits: u8) 
     };
     let one = i64::from(format.sinusoid_one());
     let time = InputScale { scale: 1.0 / one as f64, zero_point: 0, magnitude_max: one };
-    let hidden =
-        observed.iter().map(|observed| activation_scale(observed, format.activation_range()));
-    [code, time].into_iter().chain(hidden).collect()
+    [code, time].into_iter().chain(hidden.iter().copied()).collect()
 }
 
 fn stored_activation(next: &InputScale) -> ActivationScale {
@@ -297,8 +321,12 @@ fn layer_tensors(
 }
 
 fn frequency_bytes(frequencies_rad: &[f64]) -> Vec<u8> {
-    let step = |rate_rad: &f64| (rate_rad / TAU * 2f64.powi(32)).round() as u64 as u32;
-    frequencies_rad.iter().flat_map(|rate_rad| step(rate_rad).to_le_bytes()).collect()
+    frequencies_rad.iter().flat_map(|&rate_rad| frequency_step(rate_rad).to_le_bytes()).collect()
+}
+
+/// Turns per frame · 2^32.
+pub(crate) fn frequency_step(rate_rad: f64) -> u32 {
+    (rate_rad / TAU * 2f64.powi(32)).round() as u64 as u32
 }
 
 fn action_code_bytes(codes: &CodeTable, fraction_bits: u8) -> Vec<u8> {

@@ -11,6 +11,7 @@ use crate::error::Result;
 use crate::inspect::blob::BlobReport;
 use crate::mixture;
 use crate::mixture::set::MixtureSet;
+use crate::quantize::layer::InputScale;
 use crate::quantize::{QuantizeInput, Quantized, quantize};
 use crate::stdout::{print, print_json};
 
@@ -121,6 +122,7 @@ pub fn quantize_checkpoint(
     format: NumberFormat,
     sampler: SamplerKind,
 ) -> Result<Quantized> {
+    let tuned = tuned_activations(checkpoint, format);
     let input = QuantizeInput {
         name,
         model: &checkpoint.model,
@@ -128,10 +130,17 @@ pub fn quantize_checkpoint(
         action_codes: &checkpoint.action_codes,
         dataset: &checkpoint.dataset,
         mixtures,
+        tuned: tuned.as_deref(),
         provenance: Provenance {
             config_hash: checkpoint.config.config_hash(),
             seed: checkpoint.config.seed,
         },
     };
     quantize(&input, format, sampler)
+}
+
+/// How tuning for this very format has settled that activations are stored.
+fn tuned_activations(checkpoint: &Checkpoint, format: NumberFormat) -> Option<Vec<InputScale>> {
+    let tuning = checkpoint.state.tuning.as_ref()?;
+    (tuning.format == format.name()).then(|| tuning.inputs(format))
 }
