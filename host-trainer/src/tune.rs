@@ -21,7 +21,6 @@ use crate::atomic_file;
 use crate::checkpoint::{Checkpoint, TunedActivation, Tuning};
 use crate::config::ScheduleShape;
 use crate::error::{Error, Result};
-use crate::quantize::effective::WeightFormat;
 use crate::quantize::layer::InputScale;
 use crate::quantize::sampler::code_fraction_bits;
 use crate::train::metrics::{MetricLine, MetricLog, MetricSums, plot_losses};
@@ -43,8 +42,6 @@ pub struct TuneRequest<'a> {
     pub parent_hash: &'a str,
     /// The format.
     pub format: NumberFormat,
-    /// How it stores weights.
-    pub weights: WeightFormat,
     /// How hidden activations are stored. // (hidden layer)
     pub activations: Vec<InputScale>,
     /// Steps.
@@ -122,7 +119,7 @@ impl TuneRequest<'_> {
     fn tuner(&self, checkpoint: Checkpoint) -> Tuner<'_> {
         let hidden = tuning_of(&checkpoint).inputs(self.format);
         let bits = code_fraction_bits([&checkpoint.sequence_codes, &checkpoint.action_codes]);
-        let device = Device::new(self.format, self.weights, &checkpoint.model, &hidden, bits);
+        let device = Device::new(self.format, &checkpoint.model, hidden, bits);
         Tuner::new(checkpoint, &self.parent.model, device)
     }
 }

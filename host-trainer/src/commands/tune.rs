@@ -12,7 +12,6 @@ use crate::checkpoint::{Checkpoint, hexadecimal};
 use crate::commands::train::{resume_command, stop_on_interrupt};
 use crate::error::{Error, Result};
 use crate::mixture;
-use crate::quantize::effective::WeightFormat;
 use crate::quantize::layer::InputScale;
 use crate::quantize::{QuantizeInput, activation_scales, observe_activations};
 use crate::stdout::{print, print_json};
@@ -66,12 +65,12 @@ pub enum TuneFormat {
     W4a8,
 }
 
-impl TuneFormat {
-    fn stored(self) -> (NumberFormat, WeightFormat) {
-        match self {
-            Self::W8a16 => (NumberFormat::W8A16, WeightFormat::Byte),
-            Self::W8a8 => (NumberFormat::W8A8, WeightFormat::Byte),
-            Self::W4a8 => (NumberFormat::W8A8, WeightFormat::Nibble),
+impl From<TuneFormat> for NumberFormat {
+    fn from(format: TuneFormat) -> Self {
+        match format {
+            TuneFormat::W8a16 => Self::W8A16,
+            TuneFormat::W8a8 => Self::W8A8,
+            TuneFormat::W4a8 => Self::W4A8,
         }
     }
 }
@@ -108,13 +107,12 @@ pub fn run(args: &TuneArgs) -> Result<()> {
     let file = args.run.join(Checkpoint::FILE_NAME);
     let bytes = fs::read(&file).map_err(Error::io("read", &file))?;
     let parent_hash = hexadecimal(&Sha256::digest(bytes));
-    let (format, weights) = args.format.stored();
+    let format = args.format.into();
     let request = TuneRequest {
         activations: activations(args, &parent, format)?,
         parent: &parent,
         parent_hash: &parent_hash,
         format,
-        weights,
         step_count: args.steps,
         learning_rate: args.learning_rate,
         seed: args.seed,
@@ -180,7 +178,7 @@ fn report(args: &TuneArgs, parent_hash: &str, tuned: &Tuned) -> Result<()> {
         return print_json(&Report {
             run: args.run.display().to_string(),
             out: args.out.display().to_string(),
-            format: args.format.name(),
+            format: NumberFormat::from(args.format).name(),
             steps: args.steps,
             seed: args.seed,
             parent_hash,
@@ -194,17 +192,6 @@ fn report(args: &TuneArgs, parent_hash: &str, tuned: &Tuned) -> Result<()> {
     print(table)?;
     eprintln!("{} steps, in {}", args.steps, args.out.display());
     Ok(())
-}
-
-impl TuneFormat {
-    /// As on the command line.
-    fn name(self) -> &'static str {
-        match self {
-            Self::W8a16 => "w8a16",
-            Self::W8a8 => "w8a8",
-            Self::W4a8 => "w4a8",
-        }
-    }
 }
 
 fn positive(text: &str) -> core::result::Result<f64, String> {

@@ -6,40 +6,29 @@
 //! Why here: tuning must see what the quantiser stores, so both call the same functions; this file only multiplies the
 //! scales back in.
 
-use karakuri::manifest::CODE_LAYER;
+use karakuri::manifest::{CODE_LAYER, TIME_LAYER, WeightFormat};
 
 use crate::dataset::DatasetDescription;
 use crate::float_model::{DenseLayer, FloatModel};
+use crate::quantize::integer_layers::{IntegerInput, input_scales, product_unit};
 use crate::quantize::layer::{InputScale, quantize_layer};
 use crate::quantize::nibble::quantize_nibble_row;
-use crate::quantize::split_layers;
 
-/// How the weights of a layer are stored.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum WeightFormat {
-    /// i8, a scale a row.
-    Byte,
-    /// Nibbles, a scale a group of 64 columns.
-    Nibble,
-}
-
-/// The model as the device computes it, in standardised channels; `inputs` is code half, time half, hidden layers.
+/// The model as the device computes it, in standardised channels; `stored` says how the layers of `model` are stored.
 pub fn effective_model(
     model: &FloatModel,
     dataset: &DatasetDescription,
-    inputs: &[InputScale],
-    format: WeightFormat,
+    stored: IntegerInput<'_>,
 ) -> FloatModel {
-    let layers = split_layers(model, dataset);
-    let layers =
-        layers.iter().zip(inputs).enumerate().map(|(index, (layer, input))| match format {
-            // Codes have 16 bits, too many for nibbles.
-            WeightFormat::Nibble if index != CODE_LAYER => effective_nibbles(layer, *input),
-            WeightFormat::Nibble | WeightFormat::Byte => effective_bytes(layer, *input),
-        });
+    let inputs = input_scales(stored);
+    let layers = stored.layers.iter().zip(&inputs).enumerate();
+    let layers = layers.map(|(index, (layer, &input))| match stored.weights[index] {
+        WeightFormat::I4 => effective_nibbles(layer, input),
+        _ => effective_bytes(layer, input, product_unit(index, stored.format)),
+    });
     let mut layers: Vec<DenseLayer> = layers.collect();
-    let time_half = layers.remove(1);
-    layers[0] = join_halves(&layers[0], &time_half);
+    let time_half = layers.remove(TIME_LAYER);
+    layers[CODE_LAYER] = join_halves(&layers[CODE_LAYER], &time_half);
     if let Some(last) = layers.last_mut() {
         standardize(last, dataset);
     }
@@ -47,37 +36,37 @@ pub fn effective_model(
 }
 
 /// A layer of `w8a16` or `w8a8`, as real numbers.
-pub fn effective_bytes(layer: &DenseLayer, input: InputScale) -> DenseLayer {
-    let stored = quantize_layer(layer, input, &[]);
+fn effective_bytes(layer: &DenseLayer, input: InputScale, product_unit: i64) -> DenseLayer {
+    let stored = quantize_layer(layer, input, &[], product_unit);
     let mut effective = layer.zeros_like();
     let rows = stored.weights.chunks_exact(layer.input_count).zip(&stored.bias);
     let targets = effective.weights.chunks_exact_mut(layer.input_count).zip(&mut effective.bias);
     for (((weights, bias), scale), (target, target_bias)) in
         rows.zip(&stored.accumulator_scales).zip(targets)
     {
-        let weight_scale = scale / input.scale;
+        let weight_scale = scale / input.scale * product_unit as f64;
         for (target, &weight) in target.iter_mut().zip(weights) {
             *target = (f64::from(weight) * weight_scale) as f32;
         }
         let sum: i64 = weights.iter().map(|&weight| i64::from(weight)).sum();
-        *target_bias =
-            ((i64::from(*bias) + i64::from(input.zero_point) * sum) as f64 * scale) as f32;
+        let zero_products = i64::from(input.zero_point) * sum * product_unit;
+        *target_bias = ((i64::from(*bias) + zero_products) as f64 * scale) as f32;
     }
     effective
 }
 
 /// A layer of `w4a8`, as real numbers.
-pub fn effective_nibbles(layer: &DenseLayer, input: InputScale) -> DenseLayer {
+fn effective_nibbles(layer: &DenseLayer, input: InputScale) -> DenseLayer {
     let mut effective = layer.zeros_like();
     let rows = layer.weights.chunks_exact(layer.input_count).zip(&layer.bias);
     let targets = effective.weights.chunks_exact_mut(layer.input_count).zip(&mut effective.bias);
     for ((weights, &bias), (target, target_bias)) in rows.zip(targets) {
         let row = quantize_nibble_row(weights, f64::from(bias), input, &[]);
-        let mut sum = 0.0;
         for (target, weight) in target.iter_mut().zip(row.effective_weights()) {
             *target = weight as f32;
-            sum += weight;
         }
+        // Padding columns hold the zero point too.
+        let sum: f64 = row.effective_weights().sum();
         let stored = f64::from(row.bias) * row.scale + f64::from(input.zero_point) * sum;
         *target_bias = (stored * input.scale) as f32;
     }

@@ -12,7 +12,7 @@ use crate::quantize::layer::InputScale;
 
 /// Columns that share a scale.
 pub const GROUP_COLUMNS: usize = 64;
-/// Columns are padded to a multiple of this; padding columns need a stored input of 0, since their numbers are not 0.
+/// Columns are padded to a multiple of this; padding columns hold the zero point, a real input of 0.
 pub const COLUMN_MULTIPLE: usize = 16;
 /// Columns of one 32-bit word.
 const OCTET: usize = 8;
@@ -97,8 +97,7 @@ pub fn quantize_nibble_row(
         .max(bias.abs() / (input.scale * 2f64.powi(30)))
         .max(f64::MIN_POSITIVE * 1e20);
     loop {
-        let row =
-            Row { wanted: &wanted, column_count: weights.len(), units: &units, input, input_mean };
+        let row = Row { wanted: &wanted, units: &units, input, input_mean };
         if let Some(row) = row.quantize_at(bias, scale) {
             return row;
         }
@@ -109,8 +108,6 @@ pub fn quantize_nibble_row(
 struct Row<'a> {
     /// // (column, padded)
     wanted: &'a [f64],
-    /// Columns without padding.
-    column_count: usize,
     /// Real value of a nibble's 1. // (group)
     units: &'a [f64],
     input: InputScale,
@@ -128,7 +125,7 @@ impl Row<'_> {
         let mut row = NibbleRow { numbers, group_scales, bias: 0, scale, accumulator_max: 0 };
         let correction = self.lost_at_mean_input(&row);
         let real_bias = ((bias + correction) / (scale * self.input.scale)).round();
-        let sum: f64 = row.effective_weights().take(self.column_count).sum::<f64>() / scale;
+        let sum: f64 = row.effective_weights().sum::<f64>() / scale;
         let stored_bias = real_bias - (f64::from(self.input.zero_point) * sum).round();
         row.accumulator_max = row.weighted_max(self.input.magnitude_max) + stored_bias.abs() as i64;
         row.bias = stored_bias as i32;

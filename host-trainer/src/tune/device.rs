@@ -6,23 +6,26 @@
 //! Why here: rounding is `core`'s and the quantiser's; this file holds no arithmetic of its own but the way back to
 //! real numbers.
 
-use karakuri::{FramePosition, NumberFormat, sinusoids_q15};
+use karakuri::manifest::{Packing, WeightFormat};
+use karakuri::{FramePosition, NumberFormat, stored_sinusoids};
 
 use crate::dataset::DatasetDescription;
 use crate::float_model::FloatModel;
 use crate::float_model::activation::ActivationGrid;
-use crate::quantize::effective::{WeightFormat, effective_model};
+use crate::quantize::effective::effective_model;
+use crate::quantize::integer_layers::IntegerInput;
 use crate::quantize::layer::InputScale;
-use crate::quantize::{frequency_step, input_scales};
+use crate::quantize::split::split_layers;
+use crate::quantize::{frequency_step, narrowest_weights};
 
 /// How a device of one number format stores the numbers of one model.
 #[derive(Clone, Debug)]
 pub struct Device {
     format: NumberFormat,
-    weights: WeightFormat,
-    /// Code half, time half, hidden layers.
-    inputs: Vec<InputScale>,
-    code_one: f32,
+    /// Code half, time half, the others.
+    weights: Vec<WeightFormat>,
+    hidden: Vec<InputScale>,
+    code_fraction_bits: u8,
     frequency_steps: Vec<u32>,
 }
 
@@ -30,54 +33,56 @@ impl Device {
     /// `hidden` is how the hidden layers' activations are stored.
     pub fn new(
         format: NumberFormat,
-        weights: WeightFormat,
         model: &FloatModel,
-        hidden: &[InputScale],
+        hidden: Vec<InputScale>,
         code_fraction_bits: u8,
     ) -> Self {
         Self {
             format,
-            weights,
-            inputs: input_scales(hidden, format, code_fraction_bits),
-            code_one: f32::from(1u16 << code_fraction_bits),
+            weights: narrowest_weights(format, model.layers.len() + 1),
+            hidden,
+            code_fraction_bits,
             frequency_steps: model.frequencies_rad.iter().map(|&w| frequency_step(w)).collect(),
         }
     }
 
     /// The weights that a blob would hold, as real numbers.
     pub fn effective_model(&self, model: &FloatModel, dataset: &DatasetDescription) -> FloatModel {
-        effective_model(model, dataset, &self.inputs, self.weights)
+        let stored = IntegerInput {
+            layers: &split_layers(model, dataset),
+            hidden: &self.hidden,
+            // What bias correction would do is learned.
+            means: &[],
+            format: self.format,
+            packing: Packing::Tiles,
+            weights: &self.weights,
+            code_fraction_bits: self.code_fraction_bits,
+        };
+        effective_model(model, dataset, stored)
     }
 
     /// Where the activations of every hidden layer are rounded to.
     pub fn grids(&self) -> Vec<ActivationGrid> {
         let range = self.format.activation_range();
-        let hidden = self.inputs.iter().skip(2);
+        let hidden = self.hidden.iter();
         hidden.map(|input| ActivationGrid::new(input.scale, input.zero_point, range)).collect()
     }
 
     /// Codes rounded in place.
     pub fn round_codes(&self, codes: &mut [f32]) {
+        let one = f32::from(1u16 << self.code_fraction_bits);
         for value in codes {
-            let stored = (*value * self.code_one).round().clamp(-32_768.0, 32_767.0);
-            *value = stored / self.code_one;
+            *value = (*value * one).round().clamp(-32_768.0, 32_767.0) / one;
         }
     }
 
     /// Writes the sinusoids of a frame. // (sinusoid)
     pub fn embed_time(&self, frame: usize, tau: &mut [f32]) {
-        let one = i32::from(self.format.sinusoid_one());
+        let one = f32::from(self.format.sinusoid_one());
+        let position = FramePosition::from_frames(frame as u32);
         for (pair, &step) in tau.chunks_exact_mut(2).zip(&self.frequency_steps) {
-            let sinusoids = sinusoids_q15(FramePosition::from_frames(frame as u32), step);
-            for (value, q15) in pair.iter_mut().zip(sinusoids) {
-                *value = self.stored_sinusoid(q15) as f32 / one as f32;
-            }
+            let stored = stored_sinusoids(self.format, position, step);
+            pair.copy_from_slice(&stored.map(|value| value as f32 / one));
         }
-    }
-
-    /// As `core`'s `Integer::sinusoid`.
-    fn stored_sinusoid(&self, q15: i16) -> i32 {
-        let one = i32::from(self.format.sinusoid_one());
-        if one == 32_767 { q15.into() } else { (i32::from(q15) * one + (1 << 14)) >> 15 }
     }
 }
