@@ -1,7 +1,8 @@
 //! Chooses the kernel family from the target, so that nobody has to know about it.
 //!
 //! In:  `TARGET`, and `-C target-cpu` in the compiler's flags (stable rustc does not show DSP or MVE as features).
-//! Out: `cfg(karakuri_kernel = "…")`, and `cfg(karakuri_vfp)` where single-precision floats are in hardware.
+//! Out: `cfg(karakuri_kernel = "…")`, the same as the variable `KARAKURI_KERNEL`, and `cfg(karakuri_vfp)` where
+//!      single-precision floats are in hardware.
 //!
 //! A wrong guess costs speed, never correctness: every family computes the same bits.
 
@@ -19,6 +20,7 @@ fn main() {
     let forced = env::var_os("CARGO_FEATURE_PORTABLE").is_some();
     let family = if forced { "portable" } else { family(&target, processor(&flags)) };
     println!("cargo:rustc-cfg=karakuri_kernel=\"{family}\"");
+    println!("cargo:rustc-env=KARAKURI_KERNEL={family}");
     // Every hard-float Cortex-M has at least single precision, with VMLA and conversions from binary16.
     if !forced && target.starts_with("thumb") && target.ends_with("eabihf") {
         println!("cargo:rustc-cfg=karakuri_vfp");

@@ -15,6 +15,9 @@
 
 pub mod portable;
 
+/// Name of the family that `build.rs` chose, for reports and tests.
+pub const FAMILY: &str = env!("KARAKURI_KERNEL");
+
 /// Four activations; see the module for the order.
 pub type Quad = [u32; 2];
 

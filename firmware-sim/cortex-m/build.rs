@@ -4,27 +4,14 @@
 //!      the widest layer; `KARAKURI_MEMORY`, a file name in `memory/` (default `mps2.x`).
 //! Out: `inputs.rs` and `memory.x` in `OUT_DIR`.
 //!
-//! Why here: `firmware_sim::firmware` sets all four. Who builds by hand gets told what is missing.
+//! Why here: `firmware_sim::firmware` sets what a program needs. Who builds by hand gets told what is missing.
 
 use std::{env, fs, path::Path};
 
 fn main() {
     let out_dir = variable("OUT_DIR", "");
     let out_dir = Path::new(&out_dir);
-    let what = "run `firmware-sim run model.kara`, which builds this program with its inputs";
-    let blob_path = input_path(&variable("KARAKURI_BLOB", what));
-    let cases_path = input_path(&variable("KARAKURI_CASES", what));
-    let width: usize =
-        variable("KARAKURI_WIDTH", what).parse().expect("KARAKURI_WIDTH is a number");
-    let inputs = format!(
-        "/// The blob under test.\n\
-         static BLOB: &Aligned<[u8]> = &Aligned(*include_bytes!({blob_path:?}));\n\
-         /// Its cases, in the format of `case.rs`.\n\
-         static CASES: &[u8] = include_bytes!({cases_path:?});\n\
-         /// Activations of the widest layer.\n\
-         const WORKSPACE_WIDTH: usize = {width};\n"
-    );
-    fs::write(out_dir.join("inputs.rs"), inputs).expect("OUT_DIR can be written");
+    fs::write(out_dir.join("inputs.rs"), inputs()).expect("OUT_DIR can be written");
 
     println!("cargo:rerun-if-env-changed=KARAKURI_MEMORY");
     let map = env::var("KARAKURI_MEMORY").unwrap_or_else(|_| "mps2.x".to_owned());
@@ -32,6 +19,27 @@ fn main() {
     println!("cargo:rerun-if-changed={map}");
     fs::copy(&map, out_dir.join("memory.x")).unwrap_or_else(|error| panic!("{map}: {error}"));
     println!("cargo:rustc-link-search={}", out_dir.display());
+}
+
+/// Rust text of what `decode_cases` reads; without a blob, an error for who builds it. `check_kernels` needs none.
+fn inputs() -> String {
+    let what = "run `firmware-sim run model.kara`, which builds this program with its inputs";
+    println!("cargo:rerun-if-env-changed=KARAKURI_BLOB");
+    if env::var_os("KARAKURI_BLOB").is_none() {
+        return format!("compile_error!(\"KARAKURI_BLOB is not set; {what}\");");
+    }
+    let blob_path = input_path(&variable("KARAKURI_BLOB", what));
+    let cases_path = input_path(&variable("KARAKURI_CASES", what));
+    let width: usize =
+        variable("KARAKURI_WIDTH", what).parse().expect("KARAKURI_WIDTH is a number");
+    format!(
+        "/// The blob under test.\n\
+         static BLOB: &Aligned<[u8]> = &Aligned(*include_bytes!({blob_path:?}));\n\
+         /// Its cases, in the format of `case.rs`.\n\
+         static CASES: &[u8] = include_bytes!({cases_path:?});\n\
+         /// Activations of the widest layer.\n\
+         const WORKSPACE_WIDTH: usize = {width};\n"
+    )
 }
 
 fn variable(name: &str, remedy: &str) -> String {
