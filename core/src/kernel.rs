@@ -14,6 +14,14 @@
 //! All sums wrap; the loader has proved for every row that its final sum fits.
 
 pub mod portable;
+#[cfg(any(karakuri_kernel = "armv6m", karakuri_kernel = "armv7m"))]
+mod aligned;
+#[cfg(karakuri_kernel = "armv6m")]
+mod armv6m;
+#[cfg(karakuri_kernel = "armv7m")]
+mod armv7m;
+#[cfg(karakuri_vfp)]
+mod vfp;
 
 /// Name of the family that `build.rs` chose, for reports and tests.
 pub const FAMILY: &str = env!("KARAKURI_KERNEL");
@@ -30,4 +38,14 @@ pub const GROUP_TILES: usize = 8;
 /// Bytes of the scales of a group: a u16 for each of the four rows.
 pub const GROUP_SCALE_BYTES: usize = 8;
 
-pub use portable::{f16, w4a8, w8a8, w8a8_pair, w8a16, w8a16_pair};
+#[cfg(karakuri_kernel = "armv6m")]
+pub use armv6m::{w4a8, w8a8, w8a8_pair, w8a16, w8a16_pair};
+#[cfg(karakuri_kernel = "armv7m")]
+pub use armv7m::{w4a8, w8a8, w8a8_pair, w8a16, w8a16_pair};
+#[cfg(not(any(karakuri_kernel = "armv6m", karakuri_kernel = "armv7m")))]
+pub use portable::{w4a8, w8a8, w8a8_pair, w8a16, w8a16_pair};
+
+#[cfg(not(karakuri_vfp))]
+pub use portable::f16;
+#[cfg(karakuri_vfp)]
+pub use vfp::f16;
