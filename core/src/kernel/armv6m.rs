@@ -212,8 +212,9 @@ global_asm!(
         str     r1, [sp, #0]
         ldr     r3, [sp, #8]
         cmp     r12, r3
-        bne     1b
-        add     sp, #12
+        beq     4f
+        b       1b                      @ too far for a condition
+    4:  add     sp, #12
     karakuri_armv6m_end karakuri_armv6m_w4a8
 "#,
     options(raw)
