@@ -20,6 +20,8 @@ mod aligned;
 mod armv6m;
 #[cfg(karakuri_kernel = "armv7m")]
 mod armv7m;
+#[cfg(any(karakuri_kernel = "vector", karakuri_kernel = "portable"))]
+pub mod rows;
 #[cfg(karakuri_vfp)]
 mod vfp;
 
