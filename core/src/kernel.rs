@@ -14,19 +14,14 @@
 //! All sums wrap; the loader has proved for every row that its final sum fits.
 
 pub mod portable;
-#[cfg(any(karakuri_kernel = "armv6m", karakuri_kernel = "armv7m"))]
-mod aligned;
+#[cfg(any(karakuri_kernel = "armv6m", karakuri_kernel = "armv7m", karakuri_vfp))]
+mod assembly;
 #[cfg(karakuri_kernel = "armv6m")]
 mod armv6m;
 #[cfg(karakuri_kernel = "armv7m")]
 mod armv7m;
-#[cfg(any(karakuri_kernel = "vector", karakuri_kernel = "portable"))]
-pub mod rows;
 #[cfg(karakuri_vfp)]
 mod vfp;
-
-/// Name of the family that `build.rs` chose, for reports and tests.
-pub const FAMILY: &str = env!("KARAKURI_KERNEL");
 
 /// Four activations; see the module for the order.
 pub type Quad = [u32; 2];
@@ -39,6 +34,28 @@ pub const GROUP_TILES: usize = 8;
 
 /// Bytes of the scales of a group: a u16 for each of the four rows.
 pub const GROUP_SCALE_BYTES: usize = 8;
+
+/// Name of the family that `build.rs` chose.
+pub const FAMILY: &str = if cfg!(karakuri_kernel = "dsp") {
+    "dsp"
+} else if cfg!(karakuri_kernel = "armv7m") {
+    "armv7m"
+} else if cfg!(karakuri_kernel = "armv6m") {
+    "armv6m"
+} else if cfg!(karakuri_kernel = "vector") {
+    "vector"
+} else {
+    "portable"
+};
+
+/// Whether the family reads [`Packing::Rows`](crate::manifest::Packing::Rows).
+pub const TAKES_ROWS: bool = cfg!(karakuri_rows);
+
+/// Bytes at whose multiples a blob must start: the assembly loads whole words.
+pub const ALIGNMENT: usize = if TAKES_ROWS { 1 } else { 4 };
+
+#[cfg(karakuri_rows)]
+pub mod rows;
 
 #[cfg(karakuri_kernel = "armv6m")]
 pub use armv6m::{w4a8, w8a8, w8a8_pair, w8a16, w8a16_pair};

@@ -1,20 +1,19 @@
-//! Kernels for Cortex-M0, M0+, M1 and M23 (Armv6-M, Armv8-M baseline): 16-bit Thumb, 32-bit products.
+//! Kernels for Cortex-M0, M0+ and M23 (Armv6-M, Armv8-M baseline): 16-bit Thumb, 32-bit products.
 //!
 //! In:  blocks and quads as `kernel.rs` describes them.
-//! Out: the sums of [`portable`], bit for bit; `check_kernels` of firmware-sim's programs compares them.
+//! Out: the sums of [`portable`](super::portable), bit for bit; firmware-sim's `check_kernels` compares them.
 //!
-//! Why here: MULS and the extensions reach r0 to r7 only, but ADD reaches every register: the sums stay in r8 to r11,
-//! so that activations fit below. A tile takes 58 instructions in `w8a8`, 67 in `w8a16`; eight columns of `w4a8` 125.
+//! Why here: MULS and the extensions reach r0 to r7 only, but ADD reaches every register: the sums stay in r8 to r11, so
+//! that pointers, activations, a word and a product fit below.
 //! Source: Armv6-M Architecture Reference Manual, A6.7.
 
 #![allow(unsafe_code)]
 
 use core::arch::global_asm;
 
-use super::aligned::{nibble_tile_count, tile_count};
-use super::{Quad, portable};
+use super::assembly::{nibbles, run};
+use super::{Quad, TILE_BYTES};
 
-// What the kernels share. r12 ends the loop; lr keeps the address of the sums.
 global_asm!(
     r#"
     .syntax unified
@@ -25,6 +24,14 @@ global_asm!(
         .type   \name, %function
         .thumb_func
     \name:
+    .endm
+
+    .macro karakuri_armv6m_end name
+        .size   \name, . - \name
+        .popsection
+    .endm
+
+    .macro karakuri_armv6m_save
         push    {r4-r7, lr}
         mov     r4, r8
         mov     r5, r9
@@ -33,15 +40,13 @@ global_asm!(
         push    {r4-r7}
     .endm
 
-    .macro karakuri_armv6m_end name
+    .macro karakuri_armv6m_return
         pop     {r4-r7}
         mov     r8, r4
         mov     r9, r5
         mov     r10, r6
         mov     r11, r7
         pop     {r4-r7, pc}
-        .size   \name, . - \name
-        .popsection
     .endm
 
     @ \sum += (signed \weight) * \x, by way of r7
@@ -50,15 +55,11 @@ global_asm!(
         muls    r7, \x, r7
         add     \sum, r7
     .endm
-"#,
-    options(raw)
-);
 
-// `w8a16`, `w8a8`, and with `stride` 8 one frame of their pairs:
-//   r0 tile  r1 quad  r2-r5 halfwords 0, 2, 1, 3 of the quad  r6 word of a row  r7 product  r8-r11 sums
-// Where two tiles a turn are within reach of the branch, an odd number of tiles enters in the middle.
-global_asm!(
-    r#"
+    @ `w8a16`, `w8a8`, and with `stride` 8 one frame of their pairs:
+    @   r0 tile  r1 quad  r2-r5 the quad's halfwords in order  r6 word of a row  r7 product  r8-r11 sums
+    @   r12 end of the tiles  lr sums in memory
+    @ Where two tiles a turn are within reach of the branch, an odd number of tiles enters in the middle.
     .macro karakuri_armv6m_w8a16_row sum
         ldm     r0!, {r6}
         karakuri_armv6m_multiply \sum, sxtb, r6, r2
@@ -97,6 +98,7 @@ global_asm!(
 
     .macro karakuri_armv6m_w8 name, row, stride, tiles_a_turn
         karakuri_armv6m_begin \name
+        karakuri_armv6m_save
         mov     lr, r3
         lsls    r4, r2, #4
         adds    r4, r4, r0
@@ -122,23 +124,34 @@ global_asm!(
         mov     r6, r10
         mov     r7, r11
         stm     r0!, {r4-r7}
+        karakuri_armv6m_return
+        karakuri_armv6m_end \name
+    .endm
+
+    @ One frame after the other: the second frame's quads and sums follow the first's
+    .macro karakuri_armv6m_pair name, frame
+        karakuri_armv6m_begin \name
+        push    {r0-r4, lr}
+        bl      \frame
+        pop     {r0-r3}
+        adds    r1, #8
+        adds    r3, #16
+        bl      \frame
+        pop     {r4, pc}
         karakuri_armv6m_end \name
     .endm
 
     karakuri_armv6m_w8 karakuri_armv6m_w8a16, karakuri_armv6m_w8a16_row, 0, 1
-    karakuri_armv6m_w8 karakuri_armv6m_w8a16_strided, karakuri_armv6m_w8a16_row, 8, 1
+    karakuri_armv6m_w8 karakuri_armv6m_w8a16_frame, karakuri_armv6m_w8a16_row, 8, 1
     karakuri_armv6m_w8 karakuri_armv6m_w8a8, karakuri_armv6m_w8a8_row, 0, 2
-    karakuri_armv6m_w8 karakuri_armv6m_w8a8_strided, karakuri_armv6m_w8a8_row, 8, 2
-"#,
-    options(raw)
-);
+    karakuri_armv6m_w8 karakuri_armv6m_w8a8_frame, karakuri_armv6m_w8a8_row, 8, 2
+    karakuri_armv6m_pair karakuri_armv6m_w8a16_pair, karakuri_armv6m_w8a16_frame
+    karakuri_armv6m_pair karakuri_armv6m_w8a8_pair, karakuri_armv6m_w8a8_frame
 
-// `w4a8`:
-//   r0 activations  r1-r4 words of the rows  r5, r6 two activations  r7 product  r8-r11 sums of the group
-//   r12 tile  lr end of the group  stack: scales, sums in memory, end of the tiles
-// (sum * scale) >> 16 without a long product: high half * scale + ((low half * scale) >> 16), both below 2^31.
-global_asm!(
-    r#"
+    @ `w4a8`:
+    @   r0 activations  r1-r4 words of the rows  r5, r6 two activations  r7 product  r8-r11 sums of the group
+    @   r12 tile  lr end of the group  stack: scales, sums in memory, end of the tiles
+    @ (sum * scale) >> 16 without a long product: high half * scale + ((low half * scale) >> 16), both fit 32 bits.
     .macro karakuri_armv6m_w4_row sum, word, last
         karakuri_armv6m_multiply \sum, sxth, \word, r5
         asrs    r7, \word, #16
@@ -175,12 +188,14 @@ global_asm!(
     .endm
 
     karakuri_armv6m_begin karakuri_armv6m_w4a8
-        ldr     r4, [sp, #36]
-        lsls    r3, r3, #4
-        adds    r3, r3, r0
+        karakuri_armv6m_save
+        lsls    r2, r2, #4
+        adds    r4, r2, r0
         mov     r12, r0
-        mov     r0, r2
-        mov     r2, r4
+        mov     r0, r1
+        ldr     r1, [sp, #36]
+        mov     r2, r3
+        mov     r3, r4
         push    {r1-r3}
     1:  movs    r4, #0
         mov     r8, r4
@@ -215,6 +230,7 @@ global_asm!(
         beq     4f
         b       1b                      @ too far for a condition
     4:  add     sp, #12
+        karakuri_armv6m_return
     karakuri_armv6m_end karakuri_armv6m_w4a8
 "#,
     options(raw)
@@ -225,83 +241,56 @@ unsafe extern "C" {
         tiles: *const u8,
         quads: *const Quad,
         count: usize,
-        sums: *mut [i32; 4],
-    );
-    fn karakuri_armv6m_w8a16_strided(
-        tiles: *const u8,
-        quads: *const Quad,
-        count: usize,
-        sums: *mut [i32; 4],
+        sums: &mut [i32; 4],
     );
     fn karakuri_armv6m_w8a8(
         tiles: *const u8,
         quads: *const Quad,
         count: usize,
-        sums: *mut [i32; 4],
+        sums: &mut [i32; 4],
     );
-    fn karakuri_armv6m_w8a8_strided(
+    fn karakuri_armv6m_w8a16_pair(
         tiles: *const u8,
-        quads: *const Quad,
+        quads: *const [Quad; 2],
         count: usize,
-        sums: *mut [i32; 4],
+        sums: &mut [[i32; 4]; 2],
+    );
+    fn karakuri_armv6m_w8a8_pair(
+        tiles: *const u8,
+        quads: *const [Quad; 2],
+        count: usize,
+        sums: &mut [[i32; 4]; 2],
     );
     fn karakuri_armv6m_w4a8(
         tiles: *const u8,
-        scales: *const u8,
         quads: *const Quad,
         count: usize,
-        sums: *mut [i32; 4],
+        sums: &mut [i32; 4],
+        scales: *const u8,
     );
 }
 
-// SAFETY, for all calls below: `tile_count` is at least 1, the tiles are word-aligned and `count` of them and as many
-// quads (for nibbles twice as many, and their groups' scales) are inside the slices; the loops end exactly there. Sums
-// are an exclusive borrow. The functions keep the procedure call standard: r4 to r11 and sp are restored, nothing but
-// their own stack and the sums is written.
-
-/// [`portable::w8a16`] in assembly.
+/// [`portable::w8a16`](super::portable::w8a16): 67 instructions a tile.
 pub fn w8a16(tiles: &[u8], quads: &[Quad], sums: &mut [i32; 4]) {
-    let Some(count) = tile_count(tiles, quads.len()) else {
-        return portable::w8a16(tiles, quads, sums);
-    };
-    unsafe { karakuri_armv6m_w8a16(tiles.as_ptr(), quads.as_ptr(), count, sums) }
+    run::<TILE_BYTES, _, _>(karakuri_armv6m_w8a16, tiles, quads, sums);
 }
 
-/// [`portable::w8a8`] in assembly.
+/// [`portable::w8a8`](super::portable::w8a8): 58 instructions a tile.
 pub fn w8a8(tiles: &[u8], quads: &[Quad], sums: &mut [i32; 4]) {
-    let Some(count) = tile_count(tiles, quads.len()) else {
-        return portable::w8a8(tiles, quads, sums);
-    };
-    unsafe { karakuri_armv6m_w8a8(tiles.as_ptr(), quads.as_ptr(), count, sums) }
+    run::<TILE_BYTES, _, _>(karakuri_armv6m_w8a8, tiles, quads, sums);
 }
 
-/// [`portable::w8a16_pair`] in two passes: there are too few registers for two frames at once.
+/// [`portable::w8a16_pair`](super::portable::w8a16_pair), in two passes: registers for two frames are missing.
 pub fn w8a16_pair(tiles: &[u8], quads: &[[Quad; 2]], sums: &mut [[i32; 4]; 2]) {
-    let Some(count) = tile_count(tiles, quads.len()) else {
-        return portable::w8a16_pair(tiles, quads, sums);
-    };
-    for (frame, sums) in sums.iter_mut().enumerate() {
-        let quads = quads.as_ptr().cast::<Quad>().wrapping_add(frame);
-        unsafe { karakuri_armv6m_w8a16_strided(tiles.as_ptr(), quads, count, sums) }
-    }
+    run::<TILE_BYTES, _, _>(karakuri_armv6m_w8a16_pair, tiles, quads, sums);
 }
 
-/// [`portable::w8a8_pair`] in two passes, as [`w8a16_pair`].
+/// [`portable::w8a8_pair`](super::portable::w8a8_pair), in two passes.
 pub fn w8a8_pair(tiles: &[u8], quads: &[[Quad; 2]], sums: &mut [[i32; 4]; 2]) {
-    let Some(count) = tile_count(tiles, quads.len()) else {
-        return portable::w8a8_pair(tiles, quads, sums);
-    };
-    for (frame, sums) in sums.iter_mut().enumerate() {
-        let quads = quads.as_ptr().cast::<Quad>().wrapping_add(frame);
-        unsafe { karakuri_armv6m_w8a8_strided(tiles.as_ptr(), quads, count, sums) }
-    }
+    run::<TILE_BYTES, _, _>(karakuri_armv6m_w8a8_pair, tiles, quads, sums);
 }
 
-/// [`portable::w4a8`] in assembly.
+/// [`portable::w4a8`](super::portable::w4a8): 125 instructions a tile, and 61 a group.
 pub fn w4a8(tiles: &[u8], scales: &[u8], quads: &[Quad], sums: &mut [i32; 4]) {
-    let Some(count) = nibble_tile_count(tiles, scales, quads.len()) else {
-        return portable::w4a8(tiles, scales, quads, sums);
-    };
-    let (tiles, scales) = (tiles.as_ptr(), scales.as_ptr());
-    unsafe { karakuri_armv6m_w4a8(tiles, scales, quads.as_ptr(), count, sums) }
+    nibbles::run(karakuri_armv6m_w4a8, tiles, scales, quads, sums);
 }

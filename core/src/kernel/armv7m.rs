@@ -1,23 +1,23 @@
 //! Kernels for Cortex-M3, and for Armv8-M mainline whose processor nobody named: Thumb-2 without DSP.
 //!
 //! In:  blocks and quads as `kernel.rs` describes them.
-//! Out: the sums of [`portable`], bit for bit; `check_kernels` of firmware-sim's programs compares them.
+//! Out: the sums of [`portable`](super::portable), bit for bit; firmware-sim's `check_kernels` compares them.
 //!
-//! Why here: SXTB takes any byte and SBFX any run of bits of a word, MLA adds: two instructions a product. Going column by
-//! column needs one activation at a time, so that the words of four rows come in one load. A tile takes 38
-//! instructions, eight columns of `w4a8` 78.
+//! Why here: SXTB takes any byte of a word, SBFX any run of bits, and MLA multiplies and adds: two instructions a product.
+//! Going column by column needs one activation at a time, so that the words of four rows fit and come in one load.
 //! Source: Armv7-M Architecture Reference Manual, A7.7.
 
 #![allow(unsafe_code)]
 
 use core::arch::global_asm;
 
-use super::aligned::{nibble_tile_count, tile_count};
-use super::{Quad, portable};
+use super::assembly::{nibbles, run};
+use super::{Quad, TILE_BYTES};
 
 // Registers of all kernels:
 //   r0 tile  r1 quad  r2 activation  r3 weight  r4-r7 words of the rows  r8-r11 sums  r12 end of the loop
-// Two tiles a turn; an odd number of tiles enters in the middle. `stride` is 8 where two frames' quads alternate.
+// `w8a16` and `w8a8` do two tiles a turn; an odd number of tiles enters in the middle. `stride` is 8 where the quads of
+// two frames alternate.
 global_asm!(
     r#"
     .syntax unified
@@ -28,11 +28,9 @@ global_asm!(
         .type   \name, %function
         .thumb_func
     \name:
-        push    {r3-r11, lr}
     .endm
 
     .macro karakuri_armv7m_end name
-        pop     {r3-r11, pc}
         .size   \name, . - \name
         .popsection
     .endm
@@ -75,6 +73,7 @@ global_asm!(
 
     .macro karakuri_armv7m_w8 name, tile, stride
         karakuri_armv7m_begin \name
+        push    {r3-r11, lr}
         add     r12, r0, r2, lsl #4
         ldm     r3, {r8-r11}
         lsrs    r2, r2, #1
@@ -85,22 +84,33 @@ global_asm!(
         bne     1b
         ldr     r3, [sp]
         stm     r3, {r8-r11}
+        pop     {r3-r11, pc}
+        karakuri_armv7m_end \name
+    .endm
+
+    @ One frame after the other: the second frame's quads and sums follow the first's
+    .macro karakuri_armv7m_pair name, frame
+        karakuri_armv7m_begin \name
+        push    {r0-r4, lr}
+        bl      \frame
+        pop     {r0-r3}
+        adds    r1, #8
+        adds    r3, #16
+        bl      \frame
+        pop     {r4, pc}
         karakuri_armv7m_end \name
     .endm
 
     karakuri_armv7m_w8 karakuri_armv7m_w8a16, karakuri_armv7m_w8a16_tile, 0
-    karakuri_armv7m_w8 karakuri_armv7m_w8a16_strided, karakuri_armv7m_w8a16_tile, 8
+    karakuri_armv7m_w8 karakuri_armv7m_w8a16_frame, karakuri_armv7m_w8a16_tile, 8
     karakuri_armv7m_w8 karakuri_armv7m_w8a8, karakuri_armv7m_w8a8_tile, 0
-    karakuri_armv7m_w8 karakuri_armv7m_w8a8_strided, karakuri_armv7m_w8a8_tile, 8
-"#,
-    options(raw)
-);
+    karakuri_armv7m_w8 karakuri_armv7m_w8a8_frame, karakuri_armv7m_w8a8_tile, 8
+    karakuri_armv7m_pair karakuri_armv7m_w8a16_pair, karakuri_armv7m_w8a16_frame
+    karakuri_armv7m_pair karakuri_armv7m_w8a8_pair, karakuri_armv7m_w8a8_frame
 
-// `w4a8`: r12 ends the group and not the tiles, lr points to the scales; stack: end of the tiles, sums in memory.
-// Low half of a word << 4k: k fewer nibbles from its foot, and the activation << 4k instead. High half: 16 bits from bit
-// 16 - 4k.
-global_asm!(
-    r#"
+    @ `w4a8`: r12 ends the group and not the tiles, lr points to the scales; stack: end of the tiles, sums in memory.
+    @ Low half of a word << 4k: its lowest 16 - 4k bits, and the activation << 4k instead. High half: 16 bits from bit
+    @ 16 - 4k.
     .macro karakuri_armv7m_w4_low offset, shift
         ldrsh   r2, [r1, #\offset]
         lsl     r2, r2, #\shift
@@ -121,11 +131,10 @@ global_asm!(
     .endm
 
     karakuri_armv7m_begin karakuri_armv7m_w4a8
-        ldr     r4, [sp, #40]
-        add     r3, r0, r3, lsl #4
-        push    {r3, r4}
-        mov     lr, r1
-        mov     r1, r2
+        push    {r3-r11, lr}
+        ldr     lr, [sp, #40]
+        add     r2, r0, r2, lsl #4
+        push    {r2}
     1:  movs    r2, #0
         mov     r8, r2
         mov     r9, r2
@@ -159,7 +168,8 @@ global_asm!(
         ldr     r3, [sp]
         cmp     r0, r3
         bne     1b
-        add     sp, #8
+        add     sp, #4
+        pop     {r3-r11, pc}
     karakuri_armv7m_end karakuri_armv7m_w4a8
 "#,
     options(raw)
@@ -170,83 +180,56 @@ unsafe extern "C" {
         tiles: *const u8,
         quads: *const Quad,
         count: usize,
-        sums: *mut [i32; 4],
-    );
-    fn karakuri_armv7m_w8a16_strided(
-        tiles: *const u8,
-        quads: *const Quad,
-        count: usize,
-        sums: *mut [i32; 4],
+        sums: &mut [i32; 4],
     );
     fn karakuri_armv7m_w8a8(
         tiles: *const u8,
         quads: *const Quad,
         count: usize,
-        sums: *mut [i32; 4],
+        sums: &mut [i32; 4],
     );
-    fn karakuri_armv7m_w8a8_strided(
+    fn karakuri_armv7m_w8a16_pair(
         tiles: *const u8,
-        quads: *const Quad,
+        quads: *const [Quad; 2],
         count: usize,
-        sums: *mut [i32; 4],
+        sums: &mut [[i32; 4]; 2],
+    );
+    fn karakuri_armv7m_w8a8_pair(
+        tiles: *const u8,
+        quads: *const [Quad; 2],
+        count: usize,
+        sums: &mut [[i32; 4]; 2],
     );
     fn karakuri_armv7m_w4a8(
         tiles: *const u8,
-        scales: *const u8,
         quads: *const Quad,
         count: usize,
-        sums: *mut [i32; 4],
+        sums: &mut [i32; 4],
+        scales: *const u8,
     );
 }
 
-// SAFETY, for all calls below: `tile_count` is at least 1, the tiles are word-aligned and `count` of them and as many
-// quads (for nibbles twice as many, and their groups' scales) are inside the slices; the loops end exactly there. Sums
-// are an exclusive borrow. The functions keep the procedure call standard: r4 to r11 and sp are restored, nothing but
-// their own stack and the sums is written.
-
-/// [`portable::w8a16`] in assembly.
+/// [`portable::w8a16`](super::portable::w8a16): 38 instructions a tile.
 pub fn w8a16(tiles: &[u8], quads: &[Quad], sums: &mut [i32; 4]) {
-    let Some(count) = tile_count(tiles, quads.len()) else {
-        return portable::w8a16(tiles, quads, sums);
-    };
-    unsafe { karakuri_armv7m_w8a16(tiles.as_ptr(), quads.as_ptr(), count, sums) }
+    run::<TILE_BYTES, _, _>(karakuri_armv7m_w8a16, tiles, quads, sums);
 }
 
-/// [`portable::w8a8`] in assembly.
+/// [`portable::w8a8`](super::portable::w8a8): 38 instructions a tile.
 pub fn w8a8(tiles: &[u8], quads: &[Quad], sums: &mut [i32; 4]) {
-    let Some(count) = tile_count(tiles, quads.len()) else {
-        return portable::w8a8(tiles, quads, sums);
-    };
-    unsafe { karakuri_armv7m_w8a8(tiles.as_ptr(), quads.as_ptr(), count, sums) }
+    run::<TILE_BYTES, _, _>(karakuri_armv7m_w8a8, tiles, quads, sums);
 }
 
-/// [`portable::w8a16_pair`] in two passes: there are too few registers for two frames at once.
+/// [`portable::w8a16_pair`](super::portable::w8a16_pair), in two passes: registers for two frames are missing.
 pub fn w8a16_pair(tiles: &[u8], quads: &[[Quad; 2]], sums: &mut [[i32; 4]; 2]) {
-    let Some(count) = tile_count(tiles, quads.len()) else {
-        return portable::w8a16_pair(tiles, quads, sums);
-    };
-    for (frame, sums) in sums.iter_mut().enumerate() {
-        let quads = quads.as_ptr().cast::<Quad>().wrapping_add(frame);
-        unsafe { karakuri_armv7m_w8a16_strided(tiles.as_ptr(), quads, count, sums) }
-    }
+    run::<TILE_BYTES, _, _>(karakuri_armv7m_w8a16_pair, tiles, quads, sums);
 }
 
-/// [`portable::w8a8_pair`] in two passes, as [`w8a16_pair`].
+/// [`portable::w8a8_pair`](super::portable::w8a8_pair), in two passes.
 pub fn w8a8_pair(tiles: &[u8], quads: &[[Quad; 2]], sums: &mut [[i32; 4]; 2]) {
-    let Some(count) = tile_count(tiles, quads.len()) else {
-        return portable::w8a8_pair(tiles, quads, sums);
-    };
-    for (frame, sums) in sums.iter_mut().enumerate() {
-        let quads = quads.as_ptr().cast::<Quad>().wrapping_add(frame);
-        unsafe { karakuri_armv7m_w8a8_strided(tiles.as_ptr(), quads, count, sums) }
-    }
+    run::<TILE_BYTES, _, _>(karakuri_armv7m_w8a8_pair, tiles, quads, sums);
 }
 
-/// [`portable::w4a8`] in assembly.
+/// [`portable::w4a8`](super::portable::w4a8): 78 instructions a tile, and 37 a group.
 pub fn w4a8(tiles: &[u8], scales: &[u8], quads: &[Quad], sums: &mut [i32; 4]) {
-    let Some(count) = nibble_tile_count(tiles, scales, quads.len()) else {
-        return portable::w4a8(tiles, scales, quads, sums);
-    };
-    let (tiles, scales) = (tiles.as_ptr(), scales.as_ptr());
-    unsafe { karakuri_armv7m_w4a8(tiles, scales, quads.as_ptr(), count, sums) }
+    nibbles::run(karakuri_armv7m_w4a8, tiles, scales, quads, sums);
 }
