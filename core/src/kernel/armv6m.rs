@@ -3,8 +3,8 @@
 //! In:  blocks and quads as `kernel.rs` describes them.
 //! Out: the sums of [`portable`](super::portable), bit for bit; firmware-sim's `check_kernels` compares them.
 //!
-//! Why here: MULS and the extensions reach r0 to r7 only, but ADD reaches every register: the sums stay in r8 to r11, so
-//! that pointers, activations, a word and a product fit below.
+//! Why here: MULS and the extensions reach r0 to r7 only, but ADD reaches every register: the sums stay in r8 to r11,
+//! so that pointers, activations, a word and a product fit below.
 //! Source: Armv6-M Architecture Reference Manual, A6.7.
 
 #![allow(unsafe_code)]

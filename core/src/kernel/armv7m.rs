@@ -3,7 +3,7 @@
 //! In:  blocks and quads as `kernel.rs` describes them.
 //! Out: the sums of [`portable`](super::portable), bit for bit; firmware-sim's `check_kernels` compares them.
 //!
-//! Why here: SXTB takes any byte of a word, SBFX any run of bits, and MLA multiplies and adds: two instructions a product.
+//! Why here: SXTB takes any byte of a word, SBFX any run of bits, MLA multiplies and adds: two instructions a product.
 //! Going column by column needs one activation at a time, so that the words of four rows fit and come in one load.
 //! Source: Armv7-M Architecture Reference Manual, A7.7.
 

@@ -30,11 +30,14 @@ fn add_products<Activation>(rows: &[u8], activations: &[Activation], mut sums: [
 where
     Activation: Copy + Into<i32>,
 {
-    let (rows01, rows23) = rows.split_at(rows.len() / 4 * 2);
-    let (row0, row1) = rows01.split_at(rows01.len() / 2);
-    let (row2, row3) = rows23.split_at(rows01.len() / 2);
-    let columns = row0.iter().zip(row1).zip(row2).zip(row3);
-    for ((((w0, w1), w2), w3), &x) in columns.zip(activations) {
+    let columns = rows.len() / 4;
+    // Of equal length in a way that the optimiser sees; otherwise it does not predicate the tail.
+    let (row0, rows) = rows.split_at_checked(columns).unwrap_or_default();
+    let (row1, rows) = rows.split_at_checked(columns).unwrap_or_default();
+    let (row2, rows) = rows.split_at_checked(columns).unwrap_or_default();
+    let (row3, _) = rows.split_at_checked(columns).unwrap_or_default();
+    let weights = row0.iter().zip(row1).zip(row2).zip(row3);
+    for ((((w0, w1), w2), w3), &x) in weights.zip(activations) {
         let x = x.into();
         for (sum, weight) in sums.iter_mut().zip([w0, w1, w2, w3]) {
             *sum = sum.wrapping_add(i32::from(weight.cast_signed()) * x);
