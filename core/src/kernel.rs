@@ -20,6 +20,8 @@ mod assembly;
 mod armv6m;
 #[cfg(karakuri_kernel = "armv7m")]
 mod armv7m;
+#[cfg(karakuri_kernel = "dsp")]
+mod dsp;
 #[cfg(karakuri_vfp)]
 mod vfp;
 
@@ -61,7 +63,9 @@ pub mod rows;
 pub use armv6m::{w4a8, w8a8, w8a8_pair, w8a16, w8a16_pair};
 #[cfg(karakuri_kernel = "armv7m")]
 pub use armv7m::{w4a8, w8a8, w8a8_pair, w8a16, w8a16_pair};
-#[cfg(not(any(karakuri_kernel = "armv6m", karakuri_kernel = "armv7m")))]
+#[cfg(karakuri_kernel = "dsp")]
+pub use dsp::{w4a8, w8a8, w8a8_pair, w8a16, w8a16_pair};
+#[cfg(any(karakuri_kernel = "portable", karakuri_kernel = "vector"))]
 pub use portable::{w4a8, w8a8, w8a8_pair, w8a16, w8a16_pair};
 
 #[cfg(not(karakuri_vfp))]

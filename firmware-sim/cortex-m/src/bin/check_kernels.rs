@@ -112,9 +112,10 @@ impl Case<'_> {
         self.inputs.activations[..count].as_chunks().0
     }
 
+    /// At an even offset: cut elsewhere, the bytes would make scales above the largest allowed, 32767.
     fn scales(&self) -> &[u8] {
         let groups = self.tiles.div_ceil(GROUP_TILES);
-        &self.inputs.scales.0[self.edge.offset..][..groups * GROUP_SCALE_BYTES]
+        &self.inputs.scales.0[self.edge.offset & !1..][..groups * GROUP_SCALE_BYTES]
     }
 }
 
