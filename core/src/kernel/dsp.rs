@@ -9,8 +9,8 @@
 //!
 //! # Entry into the unrolled loops
 //! A loop of 8 turns is entered so that `count % 8` turns are left (`TBH` jumps by a table of offsets, and all turns
-//! have the same size), then runs `count / 8` times as a whole. No turns left means a jump to the test at the end, which
-//! serves `count == 0`, too.
+//! have the same size), then runs `count / 8` times as a whole. No turns left means a jump to the test at the end,
+//! which serves `count == 0`, too.
 //!
 //! # Safety
 //! Assembly reads `count` tiles and `count` quads, both proved to exist, and reads and writes the sums, which are
