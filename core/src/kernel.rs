@@ -14,7 +14,12 @@
 //! All sums wrap; the loader has proved for every row that its final sum fits.
 
 pub mod portable;
-#[cfg(any(karakuri_kernel = "armv6m", karakuri_kernel = "armv7m", karakuri_vfp))]
+#[cfg(any(
+    karakuri_kernel = "armv6m",
+    karakuri_kernel = "armv7m",
+    karakuri_kernel = "dsp",
+    karakuri_vfp
+))]
 mod assembly;
 #[cfg(karakuri_kernel = "armv6m")]
 mod armv6m;
