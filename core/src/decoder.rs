@@ -20,6 +20,18 @@ use crate::pose::Pose;
 use crate::time_embedding::{FramePosition, embed};
 use crate::workspace::{Buffers, Workspace};
 
+/// A part of decoding a pose that is done; for measurements only.
+#[doc(hidden)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stage {
+    /// The sinusoids.
+    TimeEmbedding,
+    /// A layer with an activation, counted from 1; the time half of layer 1 is layer 1.
+    Layer(u8),
+    /// The last layer.
+    Output,
+}
+
 /// A model with a workspace: decodes one motion at a time, any frame in any order.
 #[derive(Debug)]
 pub struct Decoder<'m, 'w> {
@@ -83,13 +95,24 @@ impl<'m, 'w> Decoder<'m, 'w> {
     /// # Cost
     /// `Model::multiply_accumulates_per_pose`.
     pub fn decode(&mut self, position: FramePosition, pose: &mut Pose) {
+        self.decode_observed(position, pose, &mut |_| ());
+    }
+
+    /// [`decode`](Self::decode), and a call after every stage.
+    #[doc(hidden)]
+    pub fn decode_observed(
+        &mut self,
+        position: FramePosition,
+        pose: &mut Pose,
+        observe: &mut impl FnMut(Stage),
+    ) {
         match &mut self.engine {
             Engine::Integer(arithmetic, buffers) => {
-                decode(self.model, arithmetic, buffers, position, pose)
+                decode(self.model, arithmetic, buffers, position, pose, observe)
             }
             #[cfg(feature = "f16")]
             Engine::Half(arithmetic, buffers) => {
-                decode(self.model, arithmetic, buffers, position, pose)
+                decode(self.model, arithmetic, buffers, position, pose, observe)
             }
         }
     }
@@ -112,22 +135,27 @@ fn decode<A: Arithmetic>(
     buffers: &mut Buffers<'_, A::Sum, A::Value>,
     position: FramePosition,
     pose: &mut Pose,
+    observe: &mut impl FnMut(Stage),
 ) {
     let [_, time_half, hidden @ .., last] = model.layers.as_slice() else {
         return;
     };
     let (mut front, mut back) = (&mut *buffers.front, &mut *buffers.back);
     embed(position, model.frequencies, front, |q15| arithmetic.sinusoid(q15));
+    observe(Stage::TimeEmbedding);
     arithmetic.time_half(time_half, inputs_of(time_half, front), buffers.folded, back);
-    for layer in hidden {
+    observe(Stage::Layer(1));
+    for (layer, number) in hidden.iter().zip(2..) {
         core::mem::swap(&mut front, &mut back);
         arithmetic.hidden(layer, inputs_of(layer, front), back);
+        observe(Stage::Layer(number));
     }
     pose.channels.clear();
     arithmetic.output(last, inputs_of(last, back), |channel| {
         // The loader has checked that all channels fit.
         let _ = pose.channels.push(channel);
     });
+    observe(Stage::Output);
 }
 
 /// The part of a buffer that a layer reads; `Decoder::new` has checked that the buffer is wide enough.

@@ -41,7 +41,7 @@ mod servo;
 mod specimen;
 
 pub use code::Code;
-pub use decoder::Decoder;
+pub use decoder::{Decoder, Stage};
 pub use error::{BlobError, SampleError, ServoError};
 pub use manifest::NumberFormat;
 pub use model::{ActionId, Model};

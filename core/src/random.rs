@@ -100,7 +100,7 @@ const HALF_NORMAL: [u16; (OCTAVES * STEPS_PER_OCTAVE) as usize + 1] = [
 /// # Accuracy
 /// The quantile is within 1.7 LSB of 2^-12 of the exact one wherever P(|X| > |x|) ≥ 2^-20, 0.52 LSB RMS
 /// (asserted by `gaussian_quantile_error`); larger magnitudes than 5.42 do not occur.
-pub(crate) fn gaussian_q12(random: &mut impl FnMut() -> u32) -> i32 {
+pub fn gaussian_q12(random: &mut impl FnMut() -> u32) -> i32 {
     let bits = random();
     let magnitude = half_normal_quantile_q12(bits & 0x7FFF_FFFF);
     if bits >> 31 == 0 { magnitude } else { -magnitude }
