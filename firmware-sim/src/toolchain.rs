@@ -102,6 +102,15 @@ impl Toolchain {
         Some(Self { target, cargo, rustc, library, linker })
     }
 
+    /// What the compiler says about its version.
+    ///
+    /// # Errors
+    /// [`Error::MissingTool`] if it has gone.
+    pub fn compiler(&self, folder: &Path) -> Result<String> {
+        answer(clean_command(&self.rustc).arg("--version").current_dir(folder))
+            .ok_or_else(|| missing(self.target))
+    }
+
     /// `cargo build --release` for the target, to be completed with the program's own arguments.
     pub fn build_command(&self) -> Command {
         let mut command = clean_command(&self.cargo);
