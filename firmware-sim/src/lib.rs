@@ -23,6 +23,7 @@ pub mod synthetic;
 pub mod plugin;
 pub mod region_counts;
 pub mod executable;
+pub mod benchmark;
 
 // compare: checkpoint and blob that belong together → reference → pairs of poses → error table
 pub mod checkpoint;

@@ -3,7 +3,7 @@
 //! Goes through one motion step by step, each step marked for the instruction counter.
 //!
 //! In:  the blob in its partition, the workspace's width by `build.rs`.
-//! Out: a line `region <name>` for each counted step, and lines `bytes <name> <number>` about memory.
+//! Out: a line `region <name>` for each counted step, and lines `number <name> <number>`, most of them bytes.
 //!
 //! Why here: the device's half of `firmware-sim bench`; `firmware_sim::benchmark` joins the names with the counts.
 //! Everything large lies in `main`'s frame, so that what is measured as stack is what the calls themselves need.
@@ -47,7 +47,7 @@ fn count_motion(
     code: &mut Code,
     pose: &mut Pose,
 ) {
-    println!("gaussians {GAUSSIAN_COUNT}");
+    println!("number gaussians {GAUSSIAN_COUNT}");
     region::count("gaussians", draw_gaussians);
     or_refuse("code", region::count("sample", || sample(model, code)));
     region::count("fold", || decoder.start(black_box(code)));
@@ -80,20 +80,20 @@ fn measure_stack(
     });
     let fold_bytes = stack::stack_bytes_of(|| decoder.start(black_box(code)));
     let pose_bytes = stack::stack_bytes_of(|| decoder.decode(black_box(POSITION), pose));
-    println!("bytes stack_load {load_bytes}");
-    println!("bytes stack_sample {sample_bytes}");
-    println!("bytes stack_fold {fold_bytes}");
-    println!("bytes stack_pose {pose_bytes}");
+    println!("number stack_load {load_bytes}");
+    println!("number stack_sample {sample_bytes}");
+    println!("number stack_fold {fold_bytes}");
+    println!("number stack_pose {pose_bytes}");
 }
 
 fn print_sizes(model: &Model<'_>) {
-    println!("bytes static {}", stack::static_bytes());
-    println!("bytes model {}", size_of::<Model<'static>>());
-    println!("bytes code {}", size_of::<Code>());
-    println!("bytes pose {}", size_of::<Pose>());
+    println!("number static {}", stack::static_bytes());
+    println!("number model {}", size_of::<Model<'static>>());
+    println!("number code {}", size_of::<Code>());
+    println!("number pose {}", size_of::<Pose>());
     // The program's own workspace serves every model; one of the model's width is smaller in proportion.
     let bytes_per_unit = size_of::<Workspace<WORKSPACE_WIDTH>>() / WORKSPACE_WIDTH;
-    println!("bytes workspace {}", bytes_per_unit * model.workspace_width());
+    println!("number workspace {}", bytes_per_unit * model.workspace_width());
 }
 
 // Functions of their own, so that every step is compiled once, however often it is called.
