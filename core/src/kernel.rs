@@ -14,6 +14,8 @@
 //! All sums wrap; the loader has proved for every row that its final sum fits.
 
 pub mod portable;
+#[cfg(karakuri_kernel = "dsp")]
+mod dsp;
 
 /// Four activations; see the module for the order.
 pub type Quad = [u32; 2];
@@ -49,4 +51,8 @@ pub const ALIGNMENT: usize = if TAKES_ROWS { 1 } else { 4 };
 #[cfg(karakuri_rows)]
 pub mod rows;
 
-pub use portable::{f16, w4a8, w8a8, w8a8_pair, w8a16, w8a16_pair};
+#[cfg(karakuri_kernel = "dsp")]
+pub use dsp::{w4a8, w8a8, w8a8_pair, w8a16, w8a16_pair};
+pub use portable::f16;
+#[cfg(not(karakuri_kernel = "dsp"))]
+pub use portable::{w4a8, w8a8, w8a8_pair, w8a16, w8a16_pair};

@@ -129,7 +129,7 @@ impl Workshop {
             .toolchain
             .build_command()
             .args(programs.iter().flat_map(|program| ["--bin", program]))
-            .args(["--features", features_of(format), "--target-dir"])
+            .args(["--no-default-features", "--features", format.name(), "--target-dir"])
             .arg(&self.folder)
             .envs(inputs.iter().copied())
             .env("KARAKURI_WIDTH", width.to_string())
@@ -146,14 +146,6 @@ impl Workshop {
         let copies = copies.into_iter().collect::<Result<Vec<_>>>()?;
         let programs: Vec<_> = copies.into_iter().map(|elf| Firmware { elf }).collect();
         Ok(programs.try_into().expect("as many programs as names"))
-    }
-}
-
-/// Features of the bare-metal workspace that decode one format and no other, as in a product.
-fn features_of(format: NumberFormat) -> &'static str {
-    match format {
-        NumberFormat::F16 => "f16",
-        _ => "",
     }
 }
 

@@ -14,7 +14,8 @@ use cortex_m_rt::entry;
 use firmware::{blob_partition, or_refuse, region, stack};
 use karakuri::random::gaussian_q12;
 use karakuri::{
-    ActionId, Code, Decoder, FramePosition, Model, Pcg32, Pose, SampleError, Stage, Workspace,
+    ActionId, BlobError, Code, Decoder, FramePosition, Model, PairDecoder, PairWorkspace, Pcg32,
+    Pose, SampleError, Stage, Workspace,
 };
 use semihosting::println;
 
@@ -24,6 +25,8 @@ include!(concat!(env!("OUT_DIR"), "/width.rs"));
 const GAUSSIAN_COUNT: u32 = 256;
 /// A position between two frames, as a device clock gives it.
 const POSITION: FramePosition = FramePosition::from_bits((11 << 16) + 0x5555);
+/// A whole frame: a model with a time table need not compute its sinusoids.
+const WHOLE_FRAME: FramePosition = FramePosition::from_frames(11);
 
 #[entry]
 fn main() -> ! {
@@ -35,6 +38,7 @@ fn main() -> ! {
     let mut workspace = Workspace::<WORKSPACE_WIDTH>::new();
     let mut decoder = or_refuse("workspace", Decoder::new(&model, &mut workspace));
     count_motion(&model, &mut decoder, &mut code, &mut pose);
+    count_pair(&model, &code);
     measure_stack(blob, &model, &mut decoder, &mut code, &mut pose);
     print_sizes(&model);
     semihosting::process::exit(0)
@@ -52,16 +56,34 @@ fn count_motion(
     or_refuse("code", region::count("sample", || sample(model, code)));
     region::count("fold", || decoder.start(black_box(code)));
     region::count("pose", || decoder.decode(black_box(POSITION), pose));
+    region::count("whole frame", || decoder.decode(black_box(WHOLE_FRAME), pose));
     region::begin();
     decoder.decode_observed(black_box(POSITION), pose, &mut |stage| {
         match stage {
             Stage::TimeEmbedding => region::end("time embedding"),
-            Stage::Layer(number) => region::end(format_args!("layer {number}")),
+            // The manifest's layers 0 and 1 are the two halves of layer 1.
+            Stage::Layer(index) => region::end(format_args!("layer {index}")),
             Stage::Output => region::end("output"),
         }
         region::begin();
     });
     region::end("return");
+}
+
+/// Two poses in one pass over the weights; nothing for a model without such kernels.
+///
+/// In a function of its own, because workspace and poses are large and nobody else needs them.
+#[inline(never)]
+fn count_pair(model: &Model<'_>, code: &Code) {
+    let mut workspace = PairWorkspace::<WORKSPACE_WIDTH>::new();
+    let Ok(mut decoder) = PairDecoder::new(model, &mut workspace) else { return };
+    let mut poses = [Pose::new(), Pose::new()];
+    decoder.start(black_box(code));
+    let positions = black_box([POSITION, WHOLE_FRAME]);
+    region::count("pair", || decoder.decode(positions, &mut poses));
+    black_box(&poses);
+    let bytes_per_unit = size_of::<PairWorkspace<WORKSPACE_WIDTH>>() / WORKSPACE_WIDTH;
+    println!("number pair_workspace {}", bytes_per_unit * model.workspace_width());
 }
 
 /// Each step for itself: a product keeps the model and calls the other steps in turn, so the deepest counts.
@@ -99,7 +121,7 @@ fn print_sizes(model: &Model<'_>) {
 // Functions of their own, so that every step is compiled once, however often it is called.
 
 #[inline(never)]
-fn load(blob: &'static [u8]) -> Result<Model<'static>, karakuri::BlobError> {
+fn load(blob: &'static [u8]) -> Result<Model<'static>, BlobError> {
     Model::from_bytes(black_box(blob))
 }
 
