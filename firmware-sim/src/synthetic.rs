@@ -1,6 +1,6 @@
 //! Models of given shapes with weights from a generator: what is to be counted needs no training.
 //!
-//! In:  a [`Network`] and a number format.
+//! In:  a [`Network`], a number format, an order of weights.
 //! Out: bytes of a blob.
 //!
 //! Why here: counts depend on shapes, formats and, a little, on the signs of pre-activations. Weights are drawn with the
@@ -9,74 +9,164 @@
 
 use karakuri::blob::BlobParts;
 use karakuri::manifest::{
-    Group, LayerShape, Manifest, Packing, Provenance, SamplerKind, SamplerShape, TensorKind,
-    tensor_plan,
+    ActivationScale, CODE_LAYER, Group, LayerShape, Manifest, Packing, Provenance, SamplerKind,
+    SamplerShape, TIME_LAYER, TensorKind, WeightFormat, tensor_plan,
 };
-use karakuri::{NumberFormat, Pcg32, Unit};
+use karakuri::{Decoder, FramePosition, Model, NumberFormat, Pcg32, Unit, Workspace, limits};
 
 use crate::error::Result;
 use crate::network::{Network, Shape};
 
 mod layer;
+mod scale;
+mod tables;
 
-use layer::{CODE_FRACTION_BITS, Layer, normal};
+use layer::{Layer, normal};
+use scale::{CODE_FRACTION_BITS, elu_scale, pre_activation_scale};
+use tables::{ACTION_COUNT, CLIPS_PER_ACTION, frequencies, intervals, members};
 
-const ACTION_COUNT: u16 = 12;
-const CLIPS_PER_ACTION: u16 = 8;
 const SEED: u64 = 1;
-/// Turns per frame · 2^32 of the fastest frequency: 1 rad.
-const FIRST_FREQUENCY: f64 = 683_565_275.576;
 /// Standard deviation of a code's numbers, in code units.
 const CODE_DEVIATION: f64 = (1 << CODE_FRACTION_BITS) as f64;
+/// Standard deviation of the stored components.
+const COMPONENT_DEVIATION: f64 = 36.0;
+/// Frames of the time table, enough for the position that is counted.
+const TIME_TABLE_FRAMES: u16 = 16;
 
-/// A blob of the network in the format.
+/// A blob of the network in the format, with a short time table where the format has one.
 ///
 /// # Errors
 /// [`Error::Blob`](crate::Error::Blob) if `core` refuses the shapes.
-pub fn synthetic_blob(network: Network, format: NumberFormat) -> Result<Vec<u8>> {
+pub fn synthetic_blob(network: Network, format: NumberFormat, packing: Packing) -> Result<Vec<u8>> {
     let shape = network.shape();
-    let manifest = manifest(network, &shape, format);
+    let manifest = manifest(network, &shape, format, packing);
     let mut random = Pcg32::new(SEED);
-    let plan: Vec<_> = tensor_plan(&manifest).collect();
-    let layers: Vec<Layer> = (0..manifest.layers.len())
-        .map(|index| Layer::draw(&manifest, index, &mut random))
-        .collect();
-    let tensors: Vec<(TensorKind, Vec<u8>)> = plan
-        .iter()
-        .map(|&(kind, length)| (kind, tensor(kind, length as usize, &shape, &layers, &mut random)))
-        .collect();
-    let tensors: Vec<(TensorKind, &[u8])> =
-        tensors.iter().map(|(kind, bytes)| (*kind, bytes.as_slice())).collect();
-    let (group_names, action_names) = (names("g", manifest.group_count), names("a", ACTION_COUNT));
-    let kinds = shape.groups.iter().flat_map(|&(kind, count)| std::iter::repeat_n(kind, count));
-    let groups: Vec<Group<'_>> =
-        kinds.zip(&group_names).map(|(kind, name)| Group { name, kind, unit: Unit::One }).collect();
-    let actions: Vec<&str> = action_names.iter().map(String::as_str).collect();
-    let parts = BlobParts {
-        manifest: &manifest,
-        groups: &groups,
-        actions: &actions,
-        joints: &[],
-        tensors: &tensors,
-    };
-    let tensor_bytes: u64 = plan.iter().map(|(_, length)| length + 16).sum();
-    let mut blob = vec![0; tensor_bytes as usize + 4096];
-    let length = parts.emit(&mut blob)?;
-    blob.truncate(length);
-    Ok(blob)
+    let draw = |index| Layer::draw(&manifest, index, &mut random);
+    let layers: Vec<Layer> = (0..manifest.layers.len()).map(draw).collect();
+    let mut parts = Parts { shape, manifest, layers, time_table: Vec::new() };
+    if format != NumberFormat::F16 {
+        let table = time_table(&parts.emit()?)?;
+        (parts.time_table, parts.manifest.time_table_shift) = table;
+        parts.manifest.time_table_frames = TIME_TABLE_FRAMES;
+    }
+    parts.emit()
 }
 
-fn manifest(network: Network, shape: &Shape, format: NumberFormat) -> Manifest<'static> {
+/// Everything that goes into a blob.
+struct Parts {
+    shape: Shape,
+    manifest: Manifest<'static>,
+    layers: Vec<Layer>,
+    time_table: Vec<u8>,
+}
+
+impl Parts {
+    fn emit(&self) -> Result<Vec<u8>> {
+        let mut random = Pcg32::new(SEED + 1);
+        let plan: Vec<_> = tensor_plan(&self.manifest).collect();
+        let tensors: Vec<(TensorKind, Vec<u8>)> = plan
+            .iter()
+            .map(|&(kind, length)| (kind, self.tensor(kind, length as usize, &mut random)))
+            .collect();
+        let tensors: Vec<(TensorKind, &[u8])> =
+            tensors.iter().map(|(kind, bytes)| (*kind, bytes.as_slice())).collect();
+        let group_names = names("g", self.manifest.group_count);
+        let action_names = names("a", ACTION_COUNT);
+        let groups = self.shape.groups.iter();
+        let groups: Vec<Group<'_>> = groups
+            .flat_map(|&(kind, count)| std::iter::repeat_n(kind, count))
+            .zip(&group_names)
+            .map(|(kind, name)| Group { name, kind, unit: Unit::One })
+            .collect();
+        let actions: Vec<&str> = action_names.iter().map(String::as_str).collect();
+        let parts = BlobParts {
+            manifest: &self.manifest,
+            groups: &groups,
+            actions: &actions,
+            joints: &[],
+            tensors: &tensors,
+        };
+        let tensor_bytes: u64 = plan.iter().map(|(_, length)| length + 16).sum();
+        let mut blob = vec![0; tensor_bytes as usize + 4096];
+        let length = parts.emit(&mut blob)?;
+        blob.truncate(length);
+        Ok(blob)
+    }
+
+    /// Bytes of one tensor; `length` of them.
+    fn tensor(&self, kind: TensorKind, length: usize, random: &mut Pcg32) -> Vec<u8> {
+        let words = |value: f64| (value.round() as i32).to_le_bytes().repeat(length / 4);
+        match kind {
+            _ if length == 0 => Vec::new(),
+            TensorKind::Frequencies => frequencies(&self.shape),
+            TensorKind::ActionCodes => (0..length / 2)
+                .flat_map(|_| ((normal(random) * CODE_DEVIATION) as i16).to_le_bytes())
+                .collect(),
+            TensorKind::Components => (0..length)
+                .map(|_| ((normal(random) * COMPONENT_DEVIATION) as i8).cast_unsigned())
+                .collect(),
+            TensorKind::ComponentSteps => words(256.0 * CODE_DEVIATION / COMPONENT_DEVIATION),
+            // Noise of a tenth of the codes' own spread.
+            TensorKind::DeviationSteps => words(256.0 * CODE_DEVIATION / 10.0),
+            TensorKind::Members => members(),
+            TensorKind::Intervals => intervals(),
+            TensorKind::Weights(index) => self.layers[index].weights(),
+            TensorKind::GroupScales(index) => self.layers[index].group_scales(),
+            TensorKind::Bias(index) => self.layers[index].biases(),
+            TensorKind::Scales(index) => self.layers[index].scales(self.next_unit(index)),
+            TensorKind::TimeTable => self.time_table.clone(),
+            // Only of a diagonal mixture.
+            TensorKind::Deviations => Vec::new(),
+        }
+    }
+
+    /// Real value of 1 of what the accumulators of a layer become.
+    fn next_unit(&self, index: usize) -> f64 {
+        match index {
+            CODE_LAYER => self.layers[TIME_LAYER].accumulator_scale(),
+            _ if index + 1 == self.layers.len() => 1.0 / 65_536.0,
+            _ => pre_activation_scale(self.manifest.number_format),
+        }
+    }
+}
+
+/// Products of the time half at whole frames as the device computes them, and their shift.
+fn time_table(blob: &[u8]) -> Result<(Vec<u8>, u8)> {
+    let model = Model::from_bytes(blob)?;
+    let mut workspace = Box::new(Workspace::<{ limits::WIDTH_MAX }>::new());
+    let mut decoder = Decoder::new(&model, &mut workspace)?;
+    let mut products = Vec::new();
+    for frame in 0..u32::from(TIME_TABLE_FRAMES) {
+        decoder.time_products(FramePosition::from_frames(frame), |four| products.extend(four));
+    }
+    let fits = |shift: &u8| products.iter().all(|product| i16::try_from(product >> shift).is_ok());
+    let shift = (0..15).find(fits).unwrap_or(15);
+    let entry = |product: &i32| ((product >> shift) as i16).to_le_bytes();
+    Ok((products.iter().flat_map(entry).collect(), shift))
+}
+
+fn manifest(
+    network: Network,
+    shape: &Shape,
+    format: NumberFormat,
+    packing: Packing,
+) -> Manifest<'static> {
     let layers = shape.layers();
     let last = layers.len() - 1;
+    let weights = match format {
+        NumberFormat::W8A16 | NumberFormat::W8A8 => WeightFormat::I8,
+        NumberFormat::W4A8 => WeightFormat::I4,
+        NumberFormat::F16 => WeightFormat::Half,
+    };
     let layers = layers.into_iter().enumerate().map(|(index, (input_count, output_count))| {
-        let activation = layer::activation_of(index, last, format);
-        LayerShape { input_count, output_count, activation }
+        let has_elu = index != CODE_LAYER && index != last;
+        let activation = if has_elu { elu_scale(format) } else { ActivationScale::NONE };
+        LayerShape { input_count, output_count, weights, activation }
     });
     Manifest {
         name: network.name(),
         number_format: format,
-        packing: Packing::RowMajor,
+        packing,
         rate_millihz: 50_000,
         group_count: shape.groups.iter().map(|&(_, count)| count as u16).sum(),
         action_count: ACTION_COUNT,
@@ -93,67 +183,10 @@ fn manifest(network: Network, shape: &Shape, format: NumberFormat) -> Manifest<'
             interval_count: ACTION_COUNT,
             step_max_q16: 13_107,
         },
+        time_table_frames: 0,
+        time_table_shift: 0,
         provenance: Provenance { config_hash: [0; 32], seed: SEED },
     }
-}
-
-/// Bytes of one tensor; `length` of them.
-fn tensor(
-    kind: TensorKind,
-    length: usize,
-    shape: &Shape,
-    layers: &[Layer],
-    random: &mut Pcg32,
-) -> Vec<u8> {
-    let words = |value: f64| (value.round() as i32).to_le_bytes().repeat(length / 4);
-    match kind {
-        TensorKind::Frequencies => frequencies(shape),
-        TensorKind::ActionCodes => (0..length / 2)
-            .flat_map(|_| ((normal(random) * CODE_DEVIATION) as i16).to_le_bytes())
-            .collect(),
-        TensorKind::Components => {
-            (0..length).map(|_| ((normal(random) * 36.0) as i8).cast_unsigned()).collect()
-        }
-        // Code units · 2^8 per 1 of a component, whose standard deviation is 36.
-        TensorKind::ComponentSteps => words(256.0 * CODE_DEVIATION / 36.0),
-        TensorKind::DeviationSteps => words(256.0 * CODE_DEVIATION / 10.0),
-        TensorKind::Deviations => Vec::new(),
-        TensorKind::Members => members(),
-        TensorKind::Intervals => intervals(),
-        TensorKind::Weights(index) => layers[index].weights(),
-        TensorKind::Bias(index) => layers[index].biases(),
-        TensorKind::Multipliers(index) => layers[index].multipliers(length / 4),
-        TensorKind::Shifts(index) => layers[index].shifts(length),
-    }
-}
-
-fn frequencies(shape: &Shape) -> Vec<u8> {
-    let steps =
-        std::iter::successors(Some(FIRST_FREQUENCY), |step| Some(step * shape.frequency_ratio));
-    steps
-        .take(usize::from(shape.frequency_count))
-        .flat_map(|step| (step as u32).to_le_bytes())
-        .collect()
-}
-
-/// Every component once, in order, equally likely within its interval.
-fn members() -> Vec<u8> {
-    let member = |component: u16| {
-        let place = u32::from(component % CLIPS_PER_ACTION) + 1;
-        let cumulative = (65_535 * place / u32::from(CLIPS_PER_ACTION)) as u16;
-        [component, cumulative].map(u16::to_le_bytes).concat()
-    };
-    (0..ACTION_COUNT * CLIPS_PER_ACTION).flat_map(member).collect()
-}
-
-/// One interval an action: 40 to 60 frames, its own clips, noise as it is (4096 is 1).
-fn intervals() -> Vec<u8> {
-    let interval = |action: u16| {
-        let halves = [action, 40, 60, 4096].map(u16::to_le_bytes).concat();
-        let first = u32::from(action * CLIPS_PER_ACTION);
-        [halves, [first, u32::from(CLIPS_PER_ACTION)].map(u32::to_le_bytes).concat()].concat()
-    };
-    (0..ACTION_COUNT).flat_map(interval).collect()
 }
 
 fn names(prefix: &str, count: u16) -> Vec<String> {
@@ -171,10 +204,10 @@ mod tests {
     const NETWORKS: [Network; 3] = [Network::Paper, Network::Small, Network::Tiny];
 
     #[test]
-    fn every_network_is_a_model_in_every_format() {
+    fn every_network_is_a_model_in_every_format_and_packing() {
         for format in NumberFormat::ALL {
-            for network in NETWORKS {
-                let blob = synthetic_blob(network, format).unwrap();
+            for (network, packing) in NETWORKS.into_iter().zip([Packing::Rows, Packing::Tiles]) {
+                let blob = synthetic_blob(network, format, packing).unwrap();
                 let model = Model::from_bytes(&blob).unwrap();
                 assert_eq!(model.channel_count(), usize::from(network.shape().channel_count()));
             }
@@ -192,7 +225,7 @@ mod tests {
             step_bits: 1 << 17,
         };
         for format in NumberFormat::ALL {
-            let blob = synthetic_blob(Network::Tiny, format).unwrap();
+            let blob = synthetic_blob(Network::Tiny, format, Packing::Tiles).unwrap();
             let poses = decode_cases(&Model::from_bytes(&blob).unwrap(), &[case]).unwrap();
             for channel in 0..11 {
                 let values = || poses.iter().map(|pose| f64::from(pose[channel]) / 65_536.0);

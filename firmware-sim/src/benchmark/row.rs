@@ -34,6 +34,10 @@ pub struct Row {
     pub instructions_per_pose: u64,
     /// The quotient of the two.
     pub instructions_per_multiply_accumulate: f64,
+    /// A pose at a whole frame, its sinusoids and their layer looked up; none where the blob has no time table.
+    pub time_table_instructions_per_pose: Option<u64>,
+    /// Half of what `PairDecoder::decode` does; none where the blob's weights have no kernels for pairs.
+    pub pair_instructions_per_pose: Option<u64>,
     /// The same pose by parts: time embedding, layer 1 to n, output. Watching them costs a few instructions more.
     pub parts: Vec<PartCounts>,
     /// `Model::from_bytes`: once after reset.
@@ -46,8 +50,10 @@ pub struct Row {
     pub gaussian_instructions: f64,
     /// All of the blob.
     pub blob_bytes: usize,
-    /// Weights of all layers.
+    /// Weights of all layers, with the scales of their groups.
     pub weight_bytes: u64,
+    /// Products of the time half at whole frames.
+    pub time_table_bytes: u64,
     /// The rest of the blob: biases, scales, the sampler's tables, names.
     pub table_bytes: u64,
     /// The smallest program with this format, without blob and vector table: `text_bytes` and `rodata_bytes`.
@@ -58,6 +64,8 @@ pub struct Row {
     pub rodata_bytes: u64,
     /// `Workspace` of the model's width.
     pub workspace_bytes: u64,
+    /// `PairWorkspace` of the model's width.
+    pub pair_workspace_bytes: Option<u64>,
     /// A `Model`.
     pub model_bytes: u64,
     /// A `Code`, at its largest.
@@ -132,7 +140,10 @@ impl Row {
         let format = model.number_format();
         let instructions_per_pose = instructions("pose")?;
         let multiply_accumulates = model.multiply_accumulates_per_pose();
-        let weight_bytes = weight_bytes(model);
+        let of_weights = |kind| matches!(kind, TensorKind::Weights(_) | TensorKind::GroupScales(_));
+        let weight_bytes = tensor_bytes(model, of_weights);
+        let time_table_bytes = tensor_bytes(model, |kind| kind == TensorKind::TimeTable);
+        let time_table = (time_table_bytes > 0).then_some(());
         let [text_bytes, rodata_bytes] =
             [".text", ".rodata"].map(|section| minimal.section_bytes(section));
         let sample_stack_bytes = number("stack_sample")?;
@@ -148,6 +159,10 @@ impl Row {
             instructions_per_pose,
             instructions_per_multiply_accumulate: instructions_per_pose as f64
                 / multiply_accumulates as f64,
+            time_table_instructions_per_pose: time_table
+                .map(|_| instructions("whole frame"))
+                .transpose()?,
+            pair_instructions_per_pose: instructions("pair").ok().map(|pair| pair / 2),
             parts: parts(measurements, program),
             load_instructions: instructions("load")?,
             sample_instructions: instructions("sample")?,
@@ -156,11 +171,13 @@ impl Row {
                 / number("gaussians")?.max(1) as f64,
             blob_bytes: subject.blob.len(),
             weight_bytes,
-            table_bytes: subject.blob.len() as u64 - weight_bytes,
+            time_table_bytes,
+            table_bytes: subject.blob.len() as u64 - weight_bytes - time_table_bytes,
             code_bytes: text_bytes + rodata_bytes,
             text_bytes,
             rodata_bytes,
             workspace_bytes: number("workspace")?,
+            pair_workspace_bytes: number("pair_workspace").ok(),
             model_bytes: number("model")?,
             motion_code_bytes: number("code")?,
             pose_bytes: number("pose")?,
@@ -188,8 +205,8 @@ fn parts(measurements: &Measurements, program: &Executable<'_>) -> Vec<PartCount
     regions.map(|(name, counts)| PartCounts::new(name, counts, program)).collect()
 }
 
-fn weight_bytes(model: &Model<'_>) -> u64 {
-    let weights =
-        tensor_plan(model.manifest()).filter(|(kind, _)| matches!(kind, TensorKind::Weights(_)));
-    weights.map(|(_, length)| length).sum()
+/// Bytes of all tensors of a kind.
+fn tensor_bytes(model: &Model<'_>, is_meant: impl Fn(TensorKind) -> bool) -> u64 {
+    let plan = tensor_plan(model.manifest());
+    plan.filter(|&(kind, _)| is_meant(kind)).map(|(_, length)| length).sum()
 }

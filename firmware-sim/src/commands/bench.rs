@@ -1,9 +1,11 @@
 //! `firmware-sim bench`: what does a motion cost on a chip?
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
+use indicatif::ProgressBar;
 use karakuri::NumberFormat;
+use karakuri::manifest::Packing;
 
 use super::{print, print_json, progress_bar, read_blob};
 use crate::benchmark::{Bench, Row, Subject};
@@ -50,42 +52,42 @@ fn format_parser() -> impl TypedValueParser<Value = NumberFormat> {
 /// # Errors
 /// See [`Bench`].
 pub fn run(args: &BenchArgs) -> Result<()> {
-    let subjects = subjects(args)?;
     let targets = if args.targets.is_empty() { &Target::ALL } else { args.targets.as_slice() };
     let progress = progress_bar();
-    progress.set_length((subjects.len() * targets.len()) as u64);
-    let rows = count(&subjects, targets, &progress);
+    let rows = count(args, targets, &progress);
     progress.finish_and_clear();
     let rows = rows?;
     if args.json { print_json(&rows) } else { print(tables::report(&rows)) }
 }
 
-fn count(
-    subjects: &[Subject],
-    targets: &[Target],
-    progress: &indicatif::ProgressBar,
-) -> Result<Vec<Row>> {
+fn count(args: &BenchArgs, targets: &[Target], progress: &ProgressBar) -> Result<Vec<Row>> {
+    let files = args.models.iter().map(file).collect::<Result<Vec<_>>>()?;
     let bench = Bench::new()?;
-    let rows = targets.iter().map(|&target| bench.rows(subjects, target, progress));
-    Ok(rows.collect::<Result<Vec<_>>>()?.concat())
+    let mut rows = Vec::new();
+    for &target in targets {
+        let subjects = [files.clone(), networks(args, target)?].concat();
+        progress.set_length((subjects.len() * targets.len()) as u64);
+        rows.extend(bench.rows(&subjects, target, progress)?);
+    }
+    Ok(rows)
 }
 
-/// The files, then the networks in every format.
-fn subjects(args: &BenchArgs) -> Result<Vec<Subject>> {
-    let file = |path: &PathBuf| {
-        let network = Path::display(path).to_string();
-        Ok(Subject { network, blob: read_blob(path)? })
-    };
-    let mut subjects = args.models.iter().map(file).collect::<Result<Vec<_>>>()?;
+fn file(path: &PathBuf) -> Result<Subject> {
+    Ok(Subject { network: path.display().to_string(), blob: read_blob(path)? })
+}
+
+/// The networks in every format, packed as the target's kernels like it best.
+fn networks(args: &BenchArgs, target: Target) -> Result<Vec<Subject>> {
     let default = if args.models.is_empty() { &[Network::Paper][..] } else { &[] };
     let networks = if args.networks.is_empty() { default } else { &args.networks };
     let formats =
         if args.formats.is_empty() { &NumberFormat::ALL } else { args.formats.as_slice() };
-    for &network in networks {
-        for &format in formats {
-            let blob = synthetic_blob(network, format)?;
-            subjects.push(Subject { network: network.name().to_owned(), blob });
-        }
-    }
-    Ok(subjects)
+    let packing = if target == Target::CortexM55 { Packing::Rows } else { Packing::Tiles };
+    let pairs = networks.iter().flat_map(|&network| formats.iter().map(move |&f| (network, f)));
+    pairs
+        .map(|(network, format)| {
+            let blob = synthetic_blob(network, format, packing)?;
+            Ok(Subject { network: network.name().to_owned(), blob })
+        })
+        .collect()
 }

@@ -38,14 +38,24 @@ fn network_report(network: &str, rows: &[&Row]) -> String {
 }
 
 /// Kernel, activation and library are those of the layers; see `PartCounts`.
-const POSE: [&str; 6] =
-    ["per pose", "per MAC", "time", "kernels", "activation, requantise", "library"];
+const POSE: [&str; 8] = [
+    "per pose",
+    "per MAC",
+    "of a pair",
+    "time table",
+    "time embedding",
+    "kernels",
+    "activation, requantise",
+    "library",
+];
 
 fn pose(row: &Row) -> Vec<String> {
     let time = row.parts.iter().filter(|part| !part.is_layer()).map(|part| part.instructions);
     vec![
         grouped(row.instructions_per_pose),
         format!("{:.3}", row.instructions_per_multiply_accumulate),
+        or_none(row.pair_instructions_per_pose),
+        or_none(row.time_table_instructions_per_pose),
         grouped(time.sum()),
         grouped(row.layers_sum(|part| part.kernel_instructions)),
         grouped(row.layers_sum(|part| part.other_instructions)),
@@ -68,20 +78,37 @@ fn start(row: &Row) -> Vec<String> {
     ]
 }
 
-const FLASH: [&str; 5] = ["blob: weights", "blob: tables", "code", ".text", ".rodata"];
+const FLASH: [&str; 6] =
+    ["blob: weights", "blob: time table", "blob: rest", "program", "its .text", "its .rodata"];
 
 fn flash(row: &Row) -> Vec<String> {
-    [row.weight_bytes, row.table_bytes, row.code_bytes, row.text_bytes, row.rodata_bytes]
-        .map(grouped)
-        .to_vec()
+    [
+        row.weight_bytes,
+        row.time_table_bytes,
+        row.table_bytes,
+        row.code_bytes,
+        row.text_bytes,
+        row.rodata_bytes,
+    ]
+    .map(grouped)
+    .to_vec()
 }
 
-const RAM: [&str; 9] =
-    ["workspace", "model", "code", "pose", "static", "stack: load", "sample", "fold", "pose"];
+const RAM: [&str; 10] = [
+    "Workspace",
+    "PairWorkspace",
+    "Model",
+    "Code",
+    "Pose",
+    "static",
+    "stack: load",
+    "sample",
+    "fold",
+    "decode",
+];
 
 fn ram(row: &Row) -> Vec<String> {
-    [
-        row.workspace_bytes,
+    let rest = [
         row.model_bytes,
         row.motion_code_bytes,
         row.pose_bytes,
@@ -90,9 +117,9 @@ fn ram(row: &Row) -> Vec<String> {
         row.sample_stack_bytes,
         row.fold_stack_bytes,
         row.pose_stack_bytes,
-    ]
-    .map(grouped)
-    .to_vec()
+    ];
+    let workspaces = [grouped(row.workspace_bytes), or_none(row.pair_workspace_bytes)];
+    workspaces.into_iter().chain(rest.map(grouped)).collect()
 }
 
 const ESTIMATE_TITLE: &str = "ESTIMATE of poses per second, not measured: cycles per instruction are assumed, memory without wait states";
@@ -127,6 +154,10 @@ fn aligned(line: &[String], widths: &[usize]) -> String {
         if column < NAME_COLUMNS { format!("{cell:<width$}") } else { format!("{cell:>width$}") }
     });
     format!("  {}\n", cells.collect::<Vec<_>>().join("  ").trim_end())
+}
+
+fn or_none(number: Option<u64>) -> String {
+    number.map_or("-".into(), grouped)
 }
 
 /// Thousands apart: 1,396,700.
