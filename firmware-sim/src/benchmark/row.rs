@@ -38,6 +38,12 @@ pub struct Row {
     pub time_table_instructions_per_pose: Option<u64>,
     /// Half of what `PairDecoder::decode` does; none where the blob's weights have no kernels for pairs.
     pub pair_instructions_per_pose: Option<u64>,
+    /// Of a pose: multiply-accumulate loops.
+    pub kernel_instructions: u64,
+    /// Of a pose: activation, requantisation and the loops over rows, in all layers.
+    pub activation_instructions: u64,
+    /// Of a pose: the compiler's routines, in all layers.
+    pub library_instructions: u64,
     /// The same pose by parts: time embedding, layer 1 to n, output. Watching them costs a few instructions more.
     pub parts: Vec<PartCounts>,
     /// `Model::from_bytes`: once after reset.
@@ -146,6 +152,10 @@ impl Row {
         let time_table = (time_table_bytes > 0).then_some(());
         let [text_bytes, rodata_bytes] =
             [".text", ".rodata"].map(|section| minimal.section_bytes(section));
+        let parts = parts(measurements, program);
+        let in_layers = |of: fn(&PartCounts) -> u64| -> u64 {
+            parts.iter().filter(|part| part.is_layer()).map(of).sum()
+        };
         let sample_stack_bytes = number("stack_sample")?;
         let fold_stack_bytes = number("stack_fold")?;
         let pose_stack_bytes = number("stack_pose")?;
@@ -163,7 +173,10 @@ impl Row {
                 .map(|_| instructions("whole frame"))
                 .transpose()?,
             pair_instructions_per_pose: instructions("pair").ok().map(|pair| pair / 2),
-            parts: parts(measurements, program),
+            kernel_instructions: in_layers(|part| part.kernel_instructions),
+            activation_instructions: in_layers(|part| part.other_instructions),
+            library_instructions: in_layers(|part| part.library_instructions),
+            parts,
             load_instructions: instructions("load")?,
             sample_instructions: instructions("sample")?,
             fold_instructions: instructions("fold")?,
@@ -189,11 +202,6 @@ impl Row {
             pose_stack_bytes,
             estimate: Estimate::new(target, format, instructions_per_pose),
         })
-    }
-
-    /// Sum over the parts that multiply and accumulate.
-    pub fn layers_sum(&self, of: impl Fn(&PartCounts) -> u64) -> u64 {
-        self.parts.iter().filter(|part| part.is_layer()).map(of).sum()
     }
 }
 

@@ -57,9 +57,9 @@ fn pose(row: &Row) -> Vec<String> {
         or_none(row.pair_instructions_per_pose),
         or_none(row.time_table_instructions_per_pose),
         grouped(time.sum()),
-        grouped(row.layers_sum(|part| part.kernel_instructions)),
-        grouped(row.layers_sum(|part| part.other_instructions)),
-        grouped(row.layers_sum(|part| part.library_instructions)),
+        grouped(row.kernel_instructions),
+        grouped(row.activation_instructions),
+        grouped(row.library_instructions),
     ]
 }
 
