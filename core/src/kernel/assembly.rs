@@ -49,6 +49,7 @@ pub fn run<const UNIT_BYTES: usize, Activations, Sums>(
 }
 
 #[cold]
+#[inline(never)]
 fn run_by_unit<const UNIT_BYTES: usize, Activations, Sums>(
     kernel: Kernel<Activations, Sums>,
     weights: &[u8],
