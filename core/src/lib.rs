@@ -61,5 +61,5 @@ pub use requantize::Requantizer;
 pub use rotation::{Axis, AxisOrder, Rotation};
 pub use servo::{ServoCommand, ServoStage};
 pub use servo_map::ServoMap;
-pub use time_embedding::FramePosition;
+pub use time_embedding::{FramePosition, stored_sinusoids};
 pub use workspace::{PairWorkspace, Workspace};

@@ -6,6 +6,7 @@
 //! Source: MotionINR's table [sin(w_0 t), cos(w_0 t), sin(w_1 t), …]; here t may be fractional, as the paper says
 //! and its code does not allow.
 
+use crate::manifest::NumberFormat;
 use crate::sine::sine_and_cosine_q15;
 
 /// A point in a motion, in frames from its start: Q16.16, so fractions of a frame are allowed.
@@ -53,6 +54,16 @@ impl FramePosition {
         let whole = frames.wrapping_mul(step).wrapping_add(fraction_q16 * (step >> 16));
         whole.wrapping_add((fraction_q16 * (step & 0xFFFF)) >> 16)
     }
+}
+
+/// `[sin, cos]` of the frequency that advances by `step` (turns · 2^32) per frame, as a format stores them:
+/// `NumberFormat::sinusoid_one` is 1, nearest, ties up.
+#[inline]
+pub fn stored_sinusoids(format: NumberFormat, position: FramePosition, step: u32) -> [i32; 2] {
+    let one = i32::from(format.sinusoid_one());
+    // Exact for one = 32,767 up to the rounding of (q15 · 32767 + 2^14) / 2^15 back to q15.
+    let stored = |q15: i32| if one == 32_767 { q15 } else { (q15 * one + (1 << 14)) >> 15 };
+    sinusoids(position, step).map(stored)
 }
 
 /// `[sin, cos]` of the frequency that advances by `step` (turns · 2^32) per frame, in Q0.15.
