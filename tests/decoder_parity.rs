@@ -3,6 +3,9 @@
 //! Two questions. Does a model trained right now on this machine stay within each format's bound? Its bits depend on
 //! the machine, so bounds are all that can be asserted. And do the committed blobs err as they always did? Their
 //! integer poses are the same everywhere, and so is the golden table.
+//!
+//! 4 bits cost much here, 2.2° RMS over all servos of the committed `w4a8` blob where `w8a16` costs 0.16° and `w8a8`
+//! 0.22°: it was rounded after training, and the layers of preset `tiny` are too narrow for errors to average out.
 
 use std::fmt::Write;
 use std::fs;
@@ -20,9 +23,10 @@ use tests::{
 };
 
 /// Least signal-to-noise ratio in dB, and largest error in degrees, for every servo together. Half of what was measured
-/// (47.2 dB and 0.092°, 40.3 dB and 0.255°, 74.1 dB and 0.005°), because training differs from machine to machine.
+/// (47.2 dB and 0.092°, 40.4 dB and 0.399°, 24.3 dB and 1.79°, 74.1 dB and 0.005°), because training differs from machine
+/// to machine.
 const BOUNDS: [(&str, f64, f64); 4] =
-    [("w8a16", 41.0, 0.2), ("w8a8", 34.0, 0.5), ("w4a8", 1.0, 50.0), ("f16", 68.0, 0.02)];
+    [("w8a16", 41.0, 0.2), ("w8a8", 34.0, 0.8), ("w4a8", 18.0, 3.6), ("f16", 68.0, 0.02)];
 
 #[test]
 fn every_format_stays_within_its_bound_after_training() {
