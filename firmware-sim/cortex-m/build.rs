@@ -1,30 +1,22 @@
 //! Puts the blob, the cases and the board's memory map where the program and the linker look for them.
 //!
-//! In:  the environment: `KARAKURI_BLOB` and `KARAKURI_CASES`, paths; `KARAKURI_WIDTH`, the number of activations of
-//!      the widest layer; `KARAKURI_MEMORY`, a file name in `memory/` (default `mps2.x`).
-//! Out: `inputs.rs` and `memory.x` in `OUT_DIR`.
+//! In:  the environment: `KARAKURI_BLOB` and `KARAKURI_CASES`, paths (cases only for programs that include them);
+//!      `KARAKURI_WIDTH`, the number of activations of the widest layer; `KARAKURI_MEMORY`, a file name in `memory/`
+//!      (default `mps2.x`).
+//! Out: `blob.rs`, `cases.rs` and `memory.x` in `OUT_DIR`.
 //!
 //! Why here: `firmware_sim::firmware` sets all four. Who builds by hand gets told what is missing.
 
 use std::{env, fs, path::Path};
 
+/// What to do about a missing variable.
+const REMEDY: &str = "run `firmware-sim run model.kara`, which builds this program with its inputs";
+
 fn main() {
-    let out_dir = variable("OUT_DIR", "");
+    let out_dir = variable("OUT_DIR");
     let out_dir = Path::new(&out_dir);
-    let what = "run `firmware-sim run model.kara`, which builds this program with its inputs";
-    let blob_path = input_path(&variable("KARAKURI_BLOB", what));
-    let cases_path = input_path(&variable("KARAKURI_CASES", what));
-    let width: usize =
-        variable("KARAKURI_WIDTH", what).parse().expect("KARAKURI_WIDTH is a number");
-    let inputs = format!(
-        "/// The blob under test.\n\
-         static BLOB: &Aligned<[u8]> = &Aligned(*include_bytes!({blob_path:?}));\n\
-         /// Its cases, in the format of `case.rs`.\n\
-         static CASES: &[u8] = include_bytes!({cases_path:?});\n\
-         /// Activations of the widest layer.\n\
-         const WORKSPACE_WIDTH: usize = {width};\n"
-    );
-    fs::write(out_dir.join("inputs.rs"), inputs).expect("OUT_DIR can be written");
+    fs::write(out_dir.join("blob.rs"), blob()).expect("OUT_DIR can be written");
+    fs::write(out_dir.join("cases.rs"), cases()).expect("OUT_DIR can be written");
 
     println!("cargo:rerun-if-env-changed=KARAKURI_MEMORY");
     let map = env::var("KARAKURI_MEMORY").unwrap_or_else(|_| "mps2.x".to_owned());
@@ -34,9 +26,32 @@ fn main() {
     println!("cargo:rustc-link-search={}", out_dir.display());
 }
 
-fn variable(name: &str, remedy: &str) -> String {
+fn blob() -> String {
+    let path = input_path(&variable("KARAKURI_BLOB"));
+    let width: usize = variable("KARAKURI_WIDTH").parse().expect("KARAKURI_WIDTH is a number");
+    format!(
+        "/// The blob under test.\n\
+         static BLOB: &Aligned<[u8]> = &Aligned(*include_bytes!({path:?}));\n\
+         /// Activations of the widest layer.\n\
+         const WORKSPACE_WIDTH: usize = {width};\n"
+    )
+}
+
+fn cases() -> String {
+    println!("cargo:rerun-if-env-changed=KARAKURI_CASES");
+    let Ok(path) = env::var("KARAKURI_CASES") else {
+        return format!("compile_error!(\"KARAKURI_CASES is not set; {REMEDY}\");\n");
+    };
+    let path = input_path(&path);
+    format!(
+        "/// Cases for the blob, in the format of `case.rs`.\n\
+         static CASES: &[u8] = include_bytes!({path:?});\n"
+    )
+}
+
+fn variable(name: &str) -> String {
     println!("cargo:rerun-if-env-changed={name}");
-    env::var(name).unwrap_or_else(|error| panic!("{name}: {error}; {remedy}"))
+    env::var(name).unwrap_or_else(|error| panic!("{name}: {error}; {REMEDY}"))
 }
 
 /// An absolute path that `include_bytes!` in `OUT_DIR` can use.

@@ -16,7 +16,8 @@ use karakuri::{Decoder, Model, Workspace};
 #[repr(C, align(16))]
 struct Aligned<Bytes: ?Sized>(Bytes);
 
-include!(concat!(env!("OUT_DIR"), "/inputs.rs"));
+include!(concat!(env!("OUT_DIR"), "/blob.rs"));
+include!(concat!(env!("OUT_DIR"), "/cases.rs"));
 
 #[entry]
 fn main() -> ! {
