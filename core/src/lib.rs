@@ -21,6 +21,7 @@ mod elu;
 pub mod random;
 pub mod manifest;
 pub mod blob;
+pub mod kernel;
 mod layer;
 mod model;
 mod code;
