@@ -128,10 +128,12 @@ impl<'a> Sampler<'a> {
     }
 
     pub fn trained_frames(&self, action: ActionId) -> core::ops::RangeInclusive<u32> {
-        let lengths = || self.intervals().filter(|interval| interval.action == action.0);
-        let frames_min = lengths().map(|interval| u32::from(interval.frames_min)).min();
-        let frames_max = lengths().map(|interval| u32::from(interval.frames_max)).max();
-        frames_min.unwrap_or(0)..=frames_max.unwrap_or(0)
+        let lengths = self.intervals().filter(|interval| interval.action == action.0);
+        let (frames_min, frames_max) = lengths.fold((u16::MAX, 0), |(min, max), interval| {
+            (interval.frames_min.min(min), interval.frames_max.max(max))
+        });
+        // Without any interval the largest minimum meets the maximum 0.
+        u32::from(frames_min.min(frames_max))..=u32::from(frames_max)
     }
 
     pub fn sample(
@@ -149,12 +151,11 @@ impl<'a> Sampler<'a> {
             .intervals()
             .find(|interval| interval.action == action.0 && interval.contains(frames))
             .ok_or(SampleError::OutsideTraining { frames, frames_min, frames_max })?;
-        let mut code = match self.kind {
+        let code = match self.kind {
             SamplerKind::ClipCodes => self.sample_clip(&interval, random),
             SamplerKind::DiagonalMixture => self.sample_gaussian(&interval, random),
         };
-        code.values.extend(self.action_code(action));
-        Ok(code)
+        Ok(code.append(self.action_code(action)))
     }
 
     fn sample_clip(&self, interval: &Interval, random: &mut impl FnMut() -> u32) -> Code {
@@ -169,9 +170,8 @@ impl<'a> Sampler<'a> {
         let sigmas =
             i32s(self.deviation_steps).map(|step| ((i64::from(step) * spread) >> 12) as i32);
         let means = from.zip(to).map(|(from, to)| interpolate(from, to, fraction));
-        Code {
-            values: means.zip(sigmas).map(|(mean, sigma)| add_noise(mean, sigma, random)).collect(),
-        }
+        let values = means.zip(sigmas);
+        Code::default().append(values.map(|(mean, sigma)| add_noise(mean, sigma, random)))
     }
 
     fn sample_gaussian(&self, interval: &Interval, random: &mut impl FnMut() -> u32) -> Code {
@@ -186,7 +186,7 @@ impl<'a> Sampler<'a> {
             self.row(self.deviations, component).iter().zip(i32s(self.deviation_steps));
         let sigmas = deviations.map(|(&deviation, step)| i32::from(deviation).saturating_mul(step));
         let values = self.mean(component).zip(sigmas);
-        Code { values: values.map(|(mean, sigma)| add_noise(mean, sigma, random)).collect() }
+        Code::default().append(values.map(|(mean, sigma)| add_noise(mean, sigma, random)))
     }
 
     /// A component's mean in code units.
