@@ -132,3 +132,33 @@ fn interval(
 
 /// The factor that [`manifest`] stores, checked here so that a change of the type cannot invalidate the specimen.
 const _: () = assert!(Requantizer::new(1 << 30, -4).is_some());
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+    use std::{env, format, fs};
+
+    use super::*;
+
+    /// Fuzzing starts from specimens; after a change of the format, `UPDATE_GOLDEN=1 cargo test -p karakuri` writes
+    /// them anew.
+    #[test]
+    #[cfg(not(miri))] // Miri is shut off from files.
+    fn seeds_of_the_fuzzers_are_the_specimens() {
+        for format in NumberFormat::ALL {
+            for (kind, name) in
+                [(SamplerKind::ClipCodes, "clips"), (SamplerKind::DiagonalMixture, "mixture")]
+            {
+                let blob = specimen(format, kind);
+                let path = Path::new(env!("CARGO_MANIFEST_DIR"))
+                    .join("fuzz/seeds")
+                    .join(format!("{}-{name}.kara", format.name()));
+                if env::var_os("UPDATE_GOLDEN").is_some() {
+                    fs::write(&path, &blob).unwrap();
+                }
+                let remedy = "run UPDATE_GOLDEN=1 cargo test -p karakuri";
+                assert!(fs::read(&path).unwrap() == blob, "{}: {remedy}", path.display());
+            }
+        }
+    }
+}
