@@ -31,6 +31,8 @@ fn main() -> ! {
 
 /// Plays all actions in turn; returns only if the blob is refused.
 fn play(blob: &[u8]) -> Option<()> {
+    #[cfg(feature = "forbidden")]
+    black_box(forbidden(blob));
     let model = Model::from_bytes(blob).ok()?;
     let mut workspace = Workspace::<WORKSPACE_WIDTH>::new();
     let mut decoder = Decoder::new(&model, &mut workspace).ok()?;
@@ -46,6 +48,14 @@ fn play(blob: &[u8]) -> Option<()> {
         }
     }
     None
+}
+
+/// Panics where the compiler cannot see that it does, and multiplies floats.
+#[cfg(feature = "forbidden")]
+#[inline(never)]
+fn forbidden(blob: &[u8]) -> f32 {
+    let index = black_box(1);
+    f32::from(blob[index]) * black_box(1.5)
 }
 
 #[panic_handler]
