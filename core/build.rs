@@ -1,7 +1,8 @@
 //! Chooses the kernel family from the target, so that nobody has to know about it.
 //!
 //! In:  `TARGET`, and `-C target-cpu` in the compiler's flags (stable rustc does not show DSP or MVE as features).
-//! Out: `cfg(karakuri_kernel = "…")`, and `cfg(karakuri_vfp)` where single-precision floats are in hardware.
+//! Out: `cfg(karakuri_kernel = "…")`; `cfg(karakuri_rows)` where the family reads row after row; `cfg(karakuri_vfp)` where
+//!      single-precision floats are in hardware.
 //!
 //! A wrong guess costs speed, never correctness: every family computes the same bits.
 
@@ -14,11 +15,15 @@ fn main() {
          values(\"portable\", \"vector\", \"armv6m\", \"armv7m\", \"dsp\"))"
     );
     println!("cargo:rustc-check-cfg=cfg(karakuri_vfp)");
+    println!("cargo:rustc-check-cfg=cfg(karakuri_rows)");
     let target = env::var("TARGET").unwrap_or_default();
     let flags = env::var("CARGO_ENCODED_RUSTFLAGS").unwrap_or_default();
     let forced = env::var_os("CARGO_FEATURE_PORTABLE").is_some();
     let family = if forced { "portable" } else { family(&target, processor(&flags)) };
     println!("cargo:rustc-cfg=karakuri_kernel=\"{family}\"");
+    if matches!(family, "portable" | "vector") {
+        println!("cargo:rustc-cfg=karakuri_rows");
+    }
     // Every hard-float Cortex-M has at least single precision, with VMLA and conversions from binary16.
     if !forced && target.starts_with("thumb") && target.ends_with("eabihf") {
         println!("cargo:rustc-cfg=karakuri_vfp");

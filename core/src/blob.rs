@@ -18,7 +18,9 @@ use crate::manifest::{Group, Joint, Manifest, TensorKind, tensor_plan};
 /// First four bytes.
 pub const MAGIC: [u8; 4] = *b"KRKR";
 /// Newest format that this crate writes and reads.
-pub const VERSION: u16 = 1;
+pub const VERSION: u16 = 2;
+/// Oldest format that this crate reads: version 1 knew one order of weights, which no kernel of today reads.
+pub const VERSION_OLDEST: u16 = 2;
 /// Bytes of the header.
 pub const HEADER_BYTES: usize = 32;
 /// Tensors start at multiples of this many bytes.
@@ -54,6 +56,9 @@ impl<'a> Envelope<'a> {
         if version > VERSION {
             return Err(BlobError::NewerVersion { found: version, newest: VERSION });
         }
+        if version < VERSION_OLDEST {
+            return Err(BlobError::OlderVersion { found: version, oldest: VERSION_OLDEST });
+        }
         let length = u32_at(bytes, field::LENGTH).ok_or(too_short)?;
         if bytes.len() != length as usize || bytes.len() < HEADER_BYTES {
             let expected = (length as usize).max(HEADER_BYTES);
@@ -64,14 +69,11 @@ impl<'a> Envelope<'a> {
         if stored != computed {
             return Err(BlobError::WrongChecksum { stored, computed });
         }
-        Self::parse_checked(bytes, version)
+        Self::parse_checked(bytes)
     }
 
-    fn parse_checked(bytes: &'a [u8], version: u16) -> Result<Self, BlobError> {
+    fn parse_checked(bytes: &'a [u8]) -> Result<Self, BlobError> {
         let bad = |field, value| BlobError::BadField { field, value };
-        if version == 0 {
-            return Err(bad("format version", 0));
-        }
         let header_length = u16_at(bytes, field::HEADER_LENGTH).unwrap_or(0);
         if usize::from(header_length) != HEADER_BYTES {
             return Err(bad("header length", u32::from(header_length)));

@@ -7,18 +7,30 @@
 //! saves 18 % of the work per pose at the paper's size.
 //! Source: Cervantes et al., ECCV 2022, section 3; the quantiser has folded standardisation into the last layer.
 
-use crate::arithmetic::Arithmetic;
 use crate::code::Code;
 use crate::error::BlobError;
 #[cfg(feature = "f16")]
-use crate::half_float::Half;
-use crate::integer::Integer;
-use crate::layer::Layer;
+use crate::half_float;
+use crate::integer;
 use crate::manifest::NumberFormat;
 use crate::model::Model;
 use crate::pose::Pose;
-use crate::time_embedding::{FramePosition, embed};
+use crate::time_embedding::FramePosition;
+#[cfg(feature = "f16")]
+use crate::workspace::FloatBuffers;
 use crate::workspace::{Buffers, Workspace};
+
+/// What [`Decoder::decode_observed`] has just finished.
+#[doc(hidden)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stage {
+    /// The sinusoids of the time embedding; skipped where the time table serves.
+    TimeEmbedding,
+    /// A layer with an ELU, by its index in the manifest.
+    Layer(usize),
+    /// The pose.
+    Output,
+}
 
 /// A model with a workspace: decodes one motion at a time, any frame in any order.
 #[derive(Debug)]
@@ -29,36 +41,27 @@ pub struct Decoder<'m, 'w> {
 
 #[derive(Debug)]
 enum Engine<'w> {
-    Integer(Integer, Buffers<'w, i32, i16>),
+    Integer(Buffers<'w, 1>),
     #[cfg(feature = "f16")]
-    Half(Half, Buffers<'w, f32, f32>),
+    Half(FloatBuffers<'w>),
 }
 
 impl<'m, 'w> Decoder<'m, 'w> {
     /// Binds a model to a workspace. Call [`start`](Self::start) before decoding.
     ///
     /// # Errors
-    /// * [`BlobError::WorkspaceTooSmall`]: `WIDTH` is less than `Model::workspace_width`.
-    /// * [`BlobError::FormatNotBuilt`]: an `f16` model in a build without the feature `f16`.
+    /// [`BlobError::WorkspaceTooSmall`]: `WIDTH` is less than `Model::workspace_width`.
     pub fn new<const WIDTH: usize>(
         model: &'m Model<'m>,
         workspace: &'w mut Workspace<WIDTH>,
     ) -> Result<Self, BlobError> {
-        let needed = model.workspace_width();
-        if WIDTH < needed {
-            return Err(BlobError::WorkspaceTooSmall { width: WIDTH, needed });
-        }
+        model.check_width(WIDTH)?;
         let engine = match model.number_format() {
-            format @ (NumberFormat::W8A16 | NumberFormat::W8A8) => {
-                Engine::Integer(Integer(format), workspace.integer())
-            }
             #[cfg(feature = "f16")]
-            NumberFormat::F16 => {
-                let code_unit = 1.0 / (1u32 << model.manifest().code_fraction_bits) as f32;
-                Engine::Half(Half { code_unit }, workspace.half())
-            }
+            NumberFormat::F16 => Engine::Half(workspace.half()),
             #[cfg(not(feature = "f16"))]
             NumberFormat::F16 => return Err(BlobError::FormatNotBuilt(NumberFormat::F16)),
+            _ => Engine::Integer(workspace.integer()),
         };
         Ok(Self { model, engine })
     }
@@ -66,12 +69,12 @@ impl<'m, 'w> Decoder<'m, 'w> {
     /// Begins a motion: computes the code half of layer 1.
     ///
     /// # Cost
-    /// `Model::multiply_accumulates_per_motion`, once.
+    /// `Model::multiply_accumulates_per_motion`, once (twice that where the code half has 4-bit weights).
     pub fn start(&mut self, code: &Code) {
         match &mut self.engine {
-            Engine::Integer(arithmetic, buffers) => fold(self.model, arithmetic, buffers, code),
+            Engine::Integer(buffers) => integer::fold(self.model, buffers, code),
             #[cfg(feature = "f16")]
-            Engine::Half(arithmetic, buffers) => fold(self.model, arithmetic, buffers, code),
+            Engine::Half(buffers) => half_float::fold(self.model, buffers, code),
         }
     }
 
@@ -81,78 +84,70 @@ impl<'m, 'w> Decoder<'m, 'w> {
     /// `position`: frames, Q16.16 · `pose`: channel units, Q15.16
     ///
     /// # Cost
-    /// `Model::multiply_accumulates_per_pose`.
+    /// `Model::multiply_accumulates_per_pose`; at a whole frame of the blob's time table without those of the time half.
     pub fn decode(&mut self, position: FramePosition, pose: &mut Pose) {
+        self.decode_observed(position, pose, &mut |_| ());
+    }
+
+    /// Hands the products of the time half at a position to `sink`, four rows at a time, in accumulator units: what the
+    /// quantiser stores in a time table. Nothing for `f16`, which has none.
+    pub fn time_products(&mut self, position: FramePosition, sink: impl FnMut([i32; 4])) {
         match &mut self.engine {
-            Engine::Integer(arithmetic, buffers) => {
-                decode(self.model, arithmetic, buffers, position, pose)
+            Engine::Integer(buffers) => {
+                integer::time_products(self.model, buffers, position, sink);
             }
             #[cfg(feature = "f16")]
-            Engine::Half(arithmetic, buffers) => {
-                decode(self.model, arithmetic, buffers, position, pose)
+            Engine::Half(_) => {}
+        }
+    }
+
+    /// [`decode`](Self::decode) for benchmarks: tells how far it is.
+    #[doc(hidden)]
+    pub fn decode_observed(
+        &mut self,
+        position: FramePosition,
+        pose: &mut Pose,
+        observe: &mut impl FnMut(Stage),
+    ) {
+        match &mut self.engine {
+            Engine::Integer(buffers) => {
+                integer::decode(self.model, buffers, [position], [pose], observe);
+            }
+            #[cfg(feature = "f16")]
+            Engine::Half(buffers) => {
+                half_float::decode(self.model, buffers, position, pose, observe);
             }
         }
     }
 }
 
-fn fold<A: Arithmetic>(
-    model: &Model<'_>,
-    arithmetic: &A,
-    buffers: &mut Buffers<'_, A::Sum, A::Value>,
-    code: &Code,
-) {
-    if let [code_half, time_half, ..] = model.layers.as_slice() {
-        arithmetic.fold(code_half, time_half, &code.values, buffers.folded);
-    }
-}
-
-fn decode<A: Arithmetic>(
-    model: &Model<'_>,
-    arithmetic: &A,
-    buffers: &mut Buffers<'_, A::Sum, A::Value>,
-    position: FramePosition,
-    pose: &mut Pose,
-) {
-    let [_, time_half, hidden @ .., last] = model.layers.as_slice() else {
-        return;
-    };
-    let (mut front, mut back) = (&mut *buffers.front, &mut *buffers.back);
-    embed(position, model.frequencies, front, |q15| arithmetic.sinusoid(q15));
-    arithmetic.time_half(time_half, inputs_of(time_half, front), buffers.folded, back);
-    for layer in hidden {
-        core::mem::swap(&mut front, &mut back);
-        arithmetic.hidden(layer, inputs_of(layer, front), back);
-    }
-    pose.channels.clear();
-    arithmetic.output(last, inputs_of(last, back), |channel| {
-        // The loader has checked that all channels fit.
-        let _ = pose.channels.push(channel);
-    });
-}
-
-/// The part of a buffer that a layer reads; `Decoder::new` has checked that the buffer is wide enough.
-fn inputs_of<'b, Value>(layer: &Layer<'_>, buffer: &'b [Value]) -> &'b [Value] {
-    buffer.get(..layer.input_count()).unwrap_or_default()
-}
-
 #[cfg(test)]
 mod tests {
-    use super::*;
-    use crate::manifest::SamplerKind;
-    use crate::random::Pcg32;
-    use crate::specimen::specimen;
-    use crate::{ActionId, NumberFormat};
+    use std::vec::Vec;
 
-    fn first_pose(format: NumberFormat, position: FramePosition) -> Pose {
-        let blob = specimen(format, SamplerKind::ClipCodes);
-        let model = Model::from_bytes(&blob).unwrap();
-        let mut workspace = Workspace::<8>::new();
-        let mut decoder = Decoder::new(&model, &mut workspace).unwrap();
+    use super::*;
+    use crate::manifest::{Packing, SamplerKind};
+    use crate::random::Pcg32;
+    use crate::specimen::{specimen, specimen_packed, specimen_with_time_table};
+    use crate::{ActionId, NumberFormat, PairDecoder, PairWorkspace};
+
+    fn code_of(model: &Model<'_>) -> Code {
         let mut random = Pcg32::new(5);
-        decoder.start(&model.sample(ActionId(1), 44, &mut || random.next_u32()).unwrap());
+        model.sample(ActionId(1), 44, &mut || random.next_u32()).unwrap()
+    }
+
+    fn pose_of(blob: &[u8], position: FramePosition) -> Pose {
+        let model = Model::from_bytes(blob).unwrap();
+        let mut workspace = Workspace::<16>::new();
+        let mut decoder = Decoder::new(&model, &mut workspace).unwrap();
+        decoder.start(&code_of(&model));
         let mut pose = Pose::new();
         decoder.decode(position, &mut pose);
         pose
+    }
+
+    fn first_pose(format: NumberFormat, position: FramePosition) -> Pose {
+        pose_of(&specimen(format, SamplerKind::ClipCodes), position)
     }
 
     #[test]
@@ -167,13 +162,84 @@ mod tests {
     fn integer_poses_never_change() {
         let w8a16 = first_pose(NumberFormat::W8A16, FramePosition::from_bits(98_765));
         let w8a8 = first_pose(NumberFormat::W8A8, FramePosition::from_bits(98_765));
+        let w4a8 = first_pose(NumberFormat::W4A8, FramePosition::from_bits(98_765));
         assert_eq!(w8a16.channels(), W8A16_POSE);
         assert_eq!(w8a8.channels(), W8A8_POSE);
+        assert_eq!(w4a8.channels(), W4A8_POSE);
     }
 
     // Printed by the test above when the format was first made; a change here is a change of every device's motion.
-    const W8A16_POSE: [i32; 4] = [-7170, -13531, -26812, -1079];
-    const W8A8_POSE: [i32; 4] = [9217, -7765, -354, -1740];
+    const W8A16_POSE: [i32; 4] = [11718, 136477, -149954, -39728];
+    const W8A8_POSE: [i32; 4] = [1655508, 2152893, 1137352, -2297604];
+    const W4A8_POSE: [i32; 4] = [69009, -710376, 314580, 322613];
+
+    #[test]
+    fn every_packing_gives_the_same_pose() {
+        for format in [NumberFormat::W8A16, NumberFormat::W8A8] {
+            let poses = [Packing::Tiles, Packing::Rows].map(|packing| {
+                let blob = specimen_packed(format, SamplerKind::ClipCodes, packing);
+                pose_of(&blob, FramePosition::from_bits(98_765))
+            });
+            assert_eq!(poses[0], poses[1], "{}", format.name());
+        }
+    }
+
+    #[test]
+    fn pair_gives_the_poses_of_two_single_decodings() {
+        let positions = [98_765, 3 << 16].map(FramePosition::from_bits);
+        for format in [NumberFormat::W8A16, NumberFormat::W8A8] {
+            let blob = specimen(format, SamplerKind::ClipCodes);
+            let model = Model::from_bytes(&blob).unwrap();
+            let mut workspace = PairWorkspace::<8>::new();
+            let mut decoder = PairDecoder::new(&model, &mut workspace).unwrap();
+            decoder.start(&code_of(&model));
+            let mut poses = [Pose::new(), Pose::new()];
+            decoder.decode(positions, &mut poses);
+            assert_eq!(poses, positions.map(|position| pose_of(&blob, position)));
+        }
+    }
+
+    #[test]
+    fn pair_of_a_model_without_pair_kernels_is_rejected() {
+        let blobs = [
+            specimen(NumberFormat::W4A8, SamplerKind::ClipCodes),
+            specimen_packed(NumberFormat::W8A8, SamplerKind::ClipCodes, Packing::Rows),
+        ];
+        for blob in blobs {
+            let model = Model::from_bytes(&blob).unwrap();
+            let error = PairDecoder::new(&model, &mut PairWorkspace::<16>::new()).unwrap_err();
+            assert_eq!(error, BlobError::NoPairKernel(model.number_format()));
+        }
+    }
+
+    #[test]
+    fn time_table_gives_the_same_pose_at_whole_frames() {
+        for format in [NumberFormat::W8A16, NumberFormat::W8A8, NumberFormat::W4A8] {
+            let blob = specimen(format, SamplerKind::ClipCodes);
+            // Products of the specimen need more than 16 bits; a coarse table costs a few units of the last place.
+            let shift = 11;
+            let rows: Vec<Vec<i16>> = (0..3).map(|frame| table_row(&blob, frame, shift)).collect();
+            let with_table = specimen_with_time_table(format, &rows, shift);
+            for position in [0, 2 << 16, 98_765, 3 << 16].map(FramePosition::from_bits) {
+                let (computed, looked_up) =
+                    (pose_of(&blob, position), pose_of(&with_table, position));
+                for (a, b) in computed.channels().iter().zip(looked_up.channels()) {
+                    assert!((a - b).abs() <= 400, "{} {position:?} {a} {b}", format.name());
+                }
+            }
+        }
+    }
+
+    fn table_row(blob: &[u8], frame: u32, shift: u8) -> Vec<i16> {
+        let model = Model::from_bytes(blob).unwrap();
+        let mut workspace = Workspace::<16>::new();
+        let mut decoder = Decoder::new(&model, &mut workspace).unwrap();
+        let mut row = Vec::new();
+        decoder.time_products(FramePosition::from_frames(frame), |products| {
+            row.extend(products.map(|product| i16::try_from(product >> shift).unwrap()));
+        });
+        row
+    }
 
     #[test]
     fn pose_depends_on_time_and_has_every_channel() {

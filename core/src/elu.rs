@@ -1,19 +1,17 @@
-//! The activation of every hidden layer: ELU with α = 1, in Q15.16.
+//! The activation of every hidden layer: ELU with α = 1, from pre-activation to stored activation.
 //!
-//! ELU(x) = x for x ≥ 0, e^x − 1 otherwise; e^x = 2^−k · 2^−f by one multiplication and a table over f.
+//! ELU(x) = x for x ≥ 0, e^x − 1 otherwise; e^x = 2^−k · 2^−f, a shift and a table over f.
+//!
+//! Why here: pre-activations come in units of the stored activation (or 1/256 of them), so that a positive one, which is
+//! every second, is done after one shift. Only 32-bit products, because a Cortex-M0+ has no others.
 //!
 //! Source: Clevert et al., ICLR 2016; MotionINR's decoder uses it after every hidden layer.
 
-/// Fraction bits of pre-activations and of ELU's result.
-pub(crate) const FRACTION_BITS: u32 = 16;
-const ONE: i32 = 1 << FRACTION_BITS;
-
-/// `log2(e)` in Q2.30.
-const LOG2_E: u64 = 1_549_082_005;
+use crate::manifest::{ActivationScale, NumberFormat};
 
 const STEPS: usize = 128;
 
-/// `2^(−i/128)` in Q1.31.
+/// `2^(−i/128)` in Q16.
 #[allow(clippy::indexing_slicing, reason = "the compiler evaluates it")]
 const POWERS: [u32; STEPS + 1] = {
     let mut table = [0; STEPS + 1];
@@ -26,76 +24,166 @@ const POWERS: [u32; STEPS + 1] = {
             sum += term;
             n += 1.0;
         }
-        table[index] = (sum * 2_147_483_648.0 + 0.5) as u32;
+        table[index] = (sum * 65_536.0 + 0.5) as u32;
         index += 1;
     }
     table
 };
 
-/// ELU of a pre-activation.
-///
-/// # Units and formats
-/// In and out: Q15.16. Below −12 the result is −1 (e^−12 is less than half an LSB).
+/// Fraction bits of an exponent of 2, see [`one_minus_exp2`].
+pub(crate) const POWER_BITS: u32 = 27;
+
+/// `1 − 2^−power` in Q16, for a power in Q5.27.
 ///
 /// # Accuracy
-/// Against f64 over every x in −13..=0: 0.76 LSB max, 0.30 LSB RMS of 2^-16
-/// (asserted by `elu_error_over_the_whole_negative_domain`); exact for x ≥ 0.
+/// Against f64 over the whole domain: 1.7 LSB max, 0.45 LSB RMS of 2^-16
+/// (asserted by `power_error_over_the_whole_domain`).
 #[inline]
-pub(crate) fn elu(x: i32) -> i32 {
-    if x >= 0 { x } else { exponential(x.unsigned_abs()) - ONE }
-}
-
-/// `e^−magnitude` in Q15.16, for a magnitude in Q16.16.
-fn exponential(magnitude: u32) -> i32 {
-    if magnitude >= 12 << FRACTION_BITS {
-        return 0;
-    }
-    let power = ((u64::from(magnitude) * LOG2_E) >> 20) as u32; // Q6.26
-    let (halvings, fraction) = (power >> 26, power & ((1 << 26) - 1));
-    let index = (fraction >> 19) as usize;
-    let within = fraction & ((1 << 19) - 1); // Q0.19
+pub(crate) fn one_minus_exp2(power: u32) -> u32 {
+    let index = (power >> 20) as usize % STEPS;
+    let within = (power >> 4) & 0xFFFF; // Q0.16
     let high = POWERS.get(index).copied().unwrap_or(0);
     let low = POWERS.get(index + 1).copied().unwrap_or(0);
-    let fall = (u64::from(high.wrapping_sub(low)) * u64::from(within)) >> 19;
-    let value = high.wrapping_sub(fall as u32);
-    // Q1.31 → Q15.16 is 15 places; at most 18 halvings, so the shift stays below 34.
-    let shift = halvings + 15;
-    ((u64::from(value) + (1 << (shift - 1))) >> shift) as i32
+    let value = high.wrapping_sub(high.wrapping_sub(low).wrapping_mul(within) >> 16);
+    65_536 - (value >> (power >> POWER_BITS))
+}
+
+/// ELU of one layer.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Elu {
+    scale: ActivationScale,
+    /// Largest magnitude whose power still fits 32 bits.
+    magnitude_max: u32,
+    range: (i32, i32),
+}
+
+impl Elu {
+    /// Of a layer that has no activation.
+    pub const NONE: Self = Self { scale: ActivationScale::NONE, magnitude_max: 0, range: (0, 0) };
+
+    /// `None` when the stored scale is unusable.
+    pub fn new(scale: ActivationScale, format: NumberFormat) -> Option<Self> {
+        let (low, high) = format.activation_range();
+        let valid = scale.fraction_bits <= 8
+            && scale.one < 1 << 15
+            && scale.one_shift <= 30
+            && (low..=high).contains(&scale.zero_point);
+        let magnitude_max = u32::MAX.checked_div(scale.power_step)?;
+        valid.then_some(Self { scale, magnitude_max, range: (i32::from(low), i32::from(high)) })
+    }
+
+    /// Stored activation of real 0.
+    pub fn zero_point(&self) -> i32 {
+        i32::from(self.scale.zero_point)
+    }
+
+    /// Stored activation of a pre-activation.
+    ///
+    /// # Units and formats
+    /// In: units of the stored activation · 2^-fraction_bits, magnitude below 2^30. Out: stored, zero point included.
+    ///
+    /// # Accuracy
+    /// Against f64, before clamping: 0.5 stored units for x ≥ 0; for x < 0, 1 unit + 2.2·2^-16 where a unit is at
+    /// least 2^-13 (asserted by `elu_error_over_the_whole_domain`).
+    #[inline]
+    pub fn apply(&self, x: i32) -> i32 {
+        let bits = u32::from(self.scale.fraction_bits) & 15;
+        let value = if x >= 0 {
+            x.wrapping_add((1 << bits) >> 1) >> bits
+        } else {
+            -self.fall(x.unsigned_abs())
+        };
+        value.wrapping_add(self.zero_point()).clamp(self.range.0, self.range.1)
+    }
+
+    /// `1 − e^−magnitude` in stored units.
+    #[inline]
+    fn fall(&self, magnitude: u32) -> i32 {
+        let power = magnitude.min(self.magnitude_max).wrapping_mul(self.scale.power_step);
+        let shift = u32::from(self.scale.one_shift) & 31;
+        // 2^16 · (2^15 − 1) + 2^29 fits 32 bits.
+        let fall = one_minus_exp2(power).wrapping_mul(u32::from(self.scale.one));
+        (fall.wrapping_add((1 << shift) >> 1) >> shift) as i32
+    }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{ONE, elu};
+    use super::*;
 
-    #[test]
-    fn elu_passes_positive_values() {
-        for x in [0, 1, ONE, i32::MAX] {
-            assert_eq!(elu(x), x);
+    /// What the quantiser stores for a unit of `unit`.
+    fn scale(unit: f64, fraction_bits: u8) -> ActivationScale {
+        let unit_of_pre_activation = unit / f64::from(1 << fraction_bits);
+        let power_step = unit_of_pre_activation * core::f64::consts::LOG2_E * 134_217_728.0;
+        let one_shift = 16 + 14 - libm::floor(libm::log2(1.0 / unit)) as i32;
+        let one = libm::round(libm::exp2(f64::from(one_shift - 16)) / unit);
+        ActivationScale {
+            power_step: libm::round(power_step) as u32,
+            one: one.min(32_767.0) as u16,
+            one_shift: one_shift as u8,
+            zero_point: 0,
+            fraction_bits,
         }
     }
 
     #[test]
-    fn elu_ends_at_minus_one() {
-        assert_eq!(elu(i32::MIN), -ONE);
-        assert_eq!(elu(-12 * ONE), -ONE);
-    }
-
-    #[test]
-    fn elu_is_monotonic() {
-        assert!((-13 * ONE..0).all(|x| elu(x) <= elu(x + 1)));
-    }
-
-    #[test]
-    fn elu_error_over_the_whole_negative_domain() {
-        let (mut worst, mut sum) = (0.0f64, 0.0f64);
-        for x in -13 * ONE..0 {
-            let exact = libm::expm1(f64::from(x) / f64::from(ONE)) * f64::from(ONE);
-            let error = f64::from(elu(x)) - exact;
-            worst = worst.max(error.abs());
-            sum += error * error;
+    fn unusable_scale_is_rejected() {
+        let good = scale(1e-3, 0);
+        let bad = [
+            ActivationScale { power_step: 0, ..good },
+            ActivationScale { one: 1 << 15, ..good },
+            ActivationScale { one_shift: 31, ..good },
+            ActivationScale { fraction_bits: 9, ..good },
+        ];
+        assert!(Elu::new(good, NumberFormat::W8A16).is_some());
+        for scale in bad {
+            assert!(Elu::new(scale, NumberFormat::W8A16).is_none(), "{scale:?}");
         }
-        let rms = libm::sqrt(sum / f64::from(13 * ONE));
-        assert!(worst <= 0.76, "max {worst} LSB");
-        assert!(rms <= 0.30, "RMS {rms} LSB");
+        let far = ActivationScale { zero_point: 128, ..good };
+        assert!(Elu::new(far, NumberFormat::W8A8).is_none());
+    }
+
+    #[test]
+    fn elu_saturates_at_both_ends() {
+        let elu = Elu::new(scale(1e-3, 0), NumberFormat::W8A16).unwrap();
+        assert_eq!(elu.apply(1 << 30), 32_767);
+        assert_eq!(elu.apply(-(1 << 30)), -1000);
+        assert_eq!(elu.apply(i32::MIN), -1000);
+    }
+
+    #[test]
+    fn power_error_over_the_whole_domain() {
+        let (mut worst, mut sum, mut count) = (0.0f64, 0.0, 0.0);
+        for power in (0..=u32::MAX).step_by(997) {
+            let exact = 65_536.0 * (1.0 - libm::exp2(-f64::from(power) / 134_217_728.0));
+            let error = f64::from(one_minus_exp2(power)) - exact;
+            (worst, sum, count) = (worst.max(error.abs()), sum + error * error, count + 1.0);
+        }
+        let rms = libm::sqrt(sum / count);
+        assert!(worst <= 1.7 && rms <= 0.45, "max {worst} LSB, RMS {rms} LSB");
+    }
+
+    #[test]
+    fn elu_error_over_the_whole_domain() {
+        for (unit, bits) in [(1.0 / 8192.0, 0), (3e-4, 0), (1e-3, 0), (0.011, 8), (0.08, 8)] {
+            let format = if bits == 0 { NumberFormat::W8A16 } else { NumberFormat::W8A8 };
+            let elu = Elu::new(scale(unit, bits), format).unwrap();
+            let fine = unit / f64::from(1 << bits);
+            let (mut worst, mut sum, mut count) = (0.0f64, 0.0, 0.0);
+            let lowest = -(14.0 / fine) as i32;
+            for x in lowest..=(f64::from(elu.range.1) * f64::from(1 << bits)) as i32 {
+                let real = f64::from(x) * fine;
+                let exact = if x >= 0 { real } else { libm::expm1(real) };
+                if exact / unit < f64::from(elu.range.0) {
+                    continue;
+                }
+                let error = f64::from(elu.apply(x)) - exact / unit;
+                (worst, sum, count) = (worst.max(error.abs()), sum + error * error, count + 1.0);
+            }
+            let rms = libm::sqrt(sum / count);
+            let allowed = 1.0 + 2.2 / 65_536.0 / unit;
+            assert!(worst <= allowed, "unit {unit}: max {worst}, allowed {allowed}");
+            assert!(rms <= 0.5 * allowed, "unit {unit}: RMS {rms}");
+        }
     }
 }

@@ -2,7 +2,7 @@
 
 use core::fmt;
 
-use crate::manifest::NumberFormat;
+use crate::manifest::{NumberFormat, Packing};
 
 /// Why a blob cannot be used. After `Model::from_bytes` has succeeded only
 /// [`WorkspaceTooSmall`](Self::WorkspaceTooSmall) remains.
@@ -24,6 +24,13 @@ pub enum BlobError {
         found: u16,
         /// Newest version that this crate reads.
         newest: u16,
+    },
+    /// Written by an older host-trainer, in a layout that the kernels no longer read. Quantise the run again.
+    OlderVersion {
+        /// Version of the blob.
+        found: u16,
+        /// Oldest version that this crate reads.
+        oldest: u16,
     },
     /// The checksum does not fit: the bytes changed since they were written. Flash the blob again.
     WrongChecksum {
@@ -57,6 +64,23 @@ pub enum BlobError {
     },
     /// This build cannot decode the number format. Switch the crate's feature on, or quantise to another format.
     FormatNotBuilt(NumberFormat),
+    /// Two frames in one pass need tiles of 8-bit weights in every layer. Use a `Decoder` twice.
+    NoPairKernel(NumberFormat),
+    /// The weights lie in an order that this build's kernels do not read. Quantise again with `--packing tiles`, which
+    /// every build reads, or switch the crate's feature `portable` on.
+    PackedForAnotherKernel {
+        /// Order of the weights.
+        packing: Packing,
+        /// Kernels of this build.
+        family: &'static str,
+    },
+    /// The assembly kernels load whole words. Put the blob into a `#[repr(align(16))]` wrapper.
+    Misaligned {
+        /// Bytes past the last aligned address.
+        misalignment: usize,
+        /// Alignment that is needed, in bytes.
+        alignment: usize,
+    },
     /// The workspace is narrower than the widest layer.
     WorkspaceTooSmall {
         /// Width of the workspace.
@@ -81,6 +105,13 @@ impl fmt::Display for BlobError {
                     "format version {found} is newer than {newest}, the newest that is understood"
                 )
             }
+            Self::OlderVersion { found, oldest } => {
+                write!(
+                    out,
+                    "format version {found} is older than {oldest}, the oldest that is understood: \
+                     quantise the run again"
+                )
+            }
             Self::WrongChecksum { stored, computed } => {
                 write!(
                     out,
@@ -98,6 +129,22 @@ impl fmt::Display for BlobError {
             }
             Self::FormatNotBuilt(format) => {
                 write!(out, "number format {} is not part of this build", format.name())
+            }
+            Self::NoPairKernel(format) => {
+                write!(out, "no kernel decodes two frames of this {} model at once", format.name())
+            }
+            Self::PackedForAnotherKernel { packing, family } => {
+                write!(
+                    out,
+                    "weights are packed as {}, which the {family} kernels of this build do not read",
+                    packing.name()
+                )
+            }
+            Self::Misaligned { misalignment, alignment } => {
+                write!(
+                    out,
+                    "the blob starts {misalignment} bytes past a multiple of {alignment}: align it"
+                )
             }
             Self::WorkspaceTooSmall { width, needed } => {
                 write!(out, "the workspace is {width} wide, the model needs {needed}")

@@ -1,94 +1,102 @@
 //! `f16`: binary16 weights, f32 activations and accumulators; for parts with an FPU.
 //!
 //! # Accuracy
-//! Every operation is an IEEE operation in a stated order (no fused multiply-add), and `expm1f` is libm's portable one,
-//! so hosts and Cortex-M agree to the last bit wherever they follow IEEE 754 for f32; parity runs state the bound.
+//! Every operation is an IEEE operation in a stated order (no fused multiply-add) and the ELU's exponential is the
+//! integers' (within 2.5e-5 of the exact one), so hosts and Cortex-M give the same bits wherever f32 follows IEEE 754.
 
-use crate::arithmetic::Arithmetic;
+use crate::code::Code;
+use crate::decoder::Stage;
+use crate::elu::{POWER_BITS, one_minus_exp2};
+use crate::kernel;
 use crate::layer::Layer;
-use crate::little_endian::{i32s, u16s};
+use crate::little_endian::{i32s, u32s};
+use crate::manifest::TIME_LAYER;
+use crate::model::Model;
+use crate::pose::Pose;
+use crate::time_embedding::{FramePosition, sinusoids};
+use crate::workspace::FloatBuffers;
 
-/// The f16 format; knows the code format.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Half {
-    /// Value of 1 LSB of a code.
-    pub code_unit: f32,
+/// `folded = weights · code + bias`.
+pub(crate) fn fold(model: &Model<'_>, buffers: &mut FloatBuffers<'_>, code: &Code) {
+    let Some(layer) = model.layers.first() else {
+        return;
+    };
+    let unit = 1.0 / (1u32 << (model.manifest().code_fraction_bits & 31)) as f32;
+    for (place, &value) in buffers.front.iter_mut().zip(&code.values) {
+        *place = f32::from(value) * unit;
+    }
+    dense(layer, floats(layer.bias), buffers.front, |row, sum| set(buffers.folded, row, sum));
 }
 
-/// Partial sums of a row: enough for SIMD on a host, few enough for registers on a chip.
-const LANES: usize = 4;
-
-impl Arithmetic for Half {
-    type Value = f32;
-    type Sum = f32;
-
-    fn sinusoid(&self, q15: i16) -> f32 {
-        f32::from(q15) * (1.0 / 32_767.0)
+/// Decodes one pose.
+pub(crate) fn decode(
+    model: &Model<'_>,
+    buffers: &mut FloatBuffers<'_>,
+    position: FramePosition,
+    pose: &mut Pose,
+    observe: &mut impl FnMut(Stage),
+) {
+    let [_, time_half, hidden @ .., last] = model.layers.as_slice() else {
+        return;
+    };
+    let (mut front, mut back) = (&mut *buffers.front, &mut *buffers.back);
+    for (pair, step) in front.chunks_exact_mut(2).zip(u32s(model.frequencies)) {
+        let values = sinusoids(position, step).map(|q15| q15 as f32 * (1.0 / 32_767.0));
+        pair.iter_mut().zip(values).for_each(|(place, value)| *place = value);
     }
+    observe(Stage::TimeEmbedding);
+    let starts = buffers.folded.iter().copied();
+    dense(time_half, starts, front, |row, sum| set(back, row, elu(sum)));
+    observe(Stage::Layer(TIME_LAYER));
+    for (index, layer) in hidden.iter().enumerate() {
+        core::mem::swap(&mut front, &mut back);
+        dense(layer, floats(layer.bias), front, |row, sum| set(back, row, elu(sum)));
+        observe(Stage::Layer(TIME_LAYER + 1 + index));
+    }
+    pose.channels.clear();
+    dense(last, floats(last.bias), back, |row, sum| {
+        if row < usize::from(last.shape.output_count) {
+            // The loader has checked that all channels fit.
+            let _ = pose.channels.push(q16(sum));
+        }
+    });
+    observe(Stage::Output);
+}
 
-    fn fold(
-        &self,
-        code_half: &Layer<'_>,
-        _time_half: &Layer<'_>,
-        code: &[i16],
-        folded: &mut [f32],
-    ) {
-        for ((folded, row), bias) in
-            folded.iter_mut().zip(rows(code_half)).zip(f32s(code_half.bias))
-        {
-            let values = code.iter().map(|&value| f32::from(value) * self.code_unit);
-            *folded = weights(row).zip(values).fold(bias, |sum, (w, x)| sum + w * x);
+/// Hands `weights · input + start` of every row to `sink`, in order.
+fn dense(
+    layer: &Layer<'_>,
+    mut starts: impl Iterator<Item = f32>,
+    input: &[f32],
+    mut sink: impl FnMut(usize, f32),
+) {
+    for (index, (block, _)) in layer.blocks().enumerate() {
+        let mut sums = [(); 4].map(|()| starts.next().unwrap_or(0.0));
+        kernel::f16(block, input, &mut sums);
+        for (row, sum) in sums.into_iter().enumerate() {
+            sink(4 * index + row, sum);
         }
     }
+}
 
-    fn time_half(&self, layer: &Layer<'_>, input: &[f32], folded: &[f32], output: &mut [f32]) {
-        for ((output, row), &start) in output.iter_mut().zip(rows(layer)).zip(folded) {
-            *output = elu(dot(row, input, start));
-        }
-    }
-
-    fn hidden(&self, layer: &Layer<'_>, input: &[f32], output: &mut [f32]) {
-        for ((output, row), bias) in output.iter_mut().zip(rows(layer)).zip(f32s(layer.bias)) {
-            *output = elu(dot(row, input, bias));
-        }
-    }
-
-    fn output(&self, layer: &Layer<'_>, input: &[f32], mut emit: impl FnMut(i32)) {
-        for (row, bias) in rows(layer).zip(f32s(layer.bias)) {
-            // `as` saturates, so that even an absurd weight cannot do more than reach the end of the range.
-            let scaled = dot(row, input, bias) * 65_536.0;
-            emit((if scaled < 0.0 { scaled - 0.5 } else { scaled + 0.5 }) as i32);
-        }
+fn set(buffer: &mut [f32], index: usize, value: f32) {
+    if let Some(place) = buffer.get_mut(index) {
+        *place = value;
     }
 }
 
 fn elu(x: f32) -> f32 {
-    if x >= 0.0 { x } else { libm::expm1f(x) }
+    // Octaves in Q5.27, rounded down; `as` saturates, so that −∞ falls by 1.
+    const POWER: f32 = core::f32::consts::LOG2_E * (1u32 << POWER_BITS) as f32;
+    if x >= 0.0 { x } else { -(one_minus_exp2((-x * POWER) as u32) as f32) * (1.0 / 65_536.0) }
 }
 
-fn rows<'a>(layer: &Layer<'a>) -> impl Iterator<Item = &'a [u8]> + use<'a> {
-    layer.weights.chunks_exact(2 * layer.input_count())
+/// Nearest Q15.16, saturated: even an absurd weight cannot do more than reach the end of the range.
+fn q16(value: f32) -> i32 {
+    let scaled = value * 65_536.0;
+    (if scaled < 0.0 { scaled - 0.5 } else { scaled + 0.5 }) as i32
 }
 
-fn weights(row: &[u8]) -> impl Iterator<Item = f32> + '_ {
-    u16s(row).map(|bits| half::f16::from_bits(bits).to_f32())
-}
-
-fn f32s(bytes: &[u8]) -> impl Iterator<Item = f32> + '_ {
+fn floats(bytes: &[u8]) -> impl Iterator<Item = f32> + '_ {
     i32s(bytes).map(|bits| f32::from_bits(bits.cast_unsigned()))
-}
-
-/// `start + Σ w·x`, in [`LANES`] partial sums that are added pairwise at the end, then the remainder in order.
-#[inline]
-fn dot(row: &[u8], input: &[f32], start: f32) -> f32 {
-    let (row_chunks, input_chunks) = (row.chunks_exact(2 * LANES), input.chunks_exact(LANES));
-    let tail = weights(row_chunks.remainder()).zip(input_chunks.remainder());
-    let mut sums = [0.0f32; LANES];
-    for (row, input) in row_chunks.zip(input_chunks) {
-        for ((sum, weight), &x) in sums.iter_mut().zip(weights(row)).zip(input) {
-            *sum += weight * x;
-        }
-    }
-    let [a, b, c, d] = sums;
-    tail.fold(start + ((a + b) + (c + d)), |sum, (weight, &x)| sum + weight * x)
 }

@@ -1,81 +1,311 @@
-//! `w8a16` and `w8a8`: i8 weights, i32 accumulators, nothing but integers.
+//! The integer formats: packed weights, i32 accumulators, nothing but integers.
 //!
-//! Why here: the same bits on every machine follow from integer arithmetic with one stated rounding. Wrapping sums are
-//! safe because the loader has proved for every row that they do not wrap.
+//! Why here: the same bits on every machine follow from integer arithmetic with stated roundings. Sums may wrap on their
+//! way, because the loader has proved for every row that none has wrapped at its end. `FRAMES` is 1, or 2 where a pass
+//! over the weights serves two frames.
 
-use crate::arithmetic::Arithmetic;
-use crate::elu::elu;
-use crate::layer::{Layer, input_magnitude_max, weight_magnitude_sum};
-use crate::little_endian::i32s;
-use crate::manifest::{NumberFormat, TIME_LAYER};
+use crate::code::Code;
+use crate::decoder::Stage;
+use crate::kernel::{self, Quad};
+use crate::layer::{Layer, Order, Sums};
+use crate::little_endian::{i16s, u32s};
+use crate::manifest::TIME_LAYER;
+use crate::model::Model;
+use crate::pose::Pose;
+use crate::time_embedding::{FramePosition, sinusoids};
+use crate::workspace::Buffers;
 
-/// The integer formats; they differ in the range of activations alone.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Integer(pub NumberFormat);
-
-impl Arithmetic for Integer {
-    type Value = i16;
-    type Sum = i32;
-
-    fn sinusoid(&self, q15: i16) -> i16 {
-        let one = i32::from(self.0.sinusoid_one());
-        // Exact for one = 32,767 up to the rounding of (q15 · 32767 + 2^14) / 2^15 back to q15.
-        if one == 32_767 { q15 } else { ((i32::from(q15) * one + (1 << 14)) >> 15) as i16 }
-    }
-
-    fn fold(&self, code_half: &Layer<'_>, time_half: &Layer<'_>, code: &[i16], folded: &mut [i32]) {
-        let input_max = input_magnitude_max(TIME_LAYER, self.0);
-        let rows = code_half.rows().zip(i32s(code_half.bias)).zip(code_half.requantizers());
-        for ((folded, ((row, bias), requantizer)), time_row) in
-            folded.iter_mut().zip(rows).zip(time_half.rows())
-        {
-            // What the time half can add at most, so that their sum stays inside the accumulator.
-            let room =
-                i32::MAX - (weight_magnitude_sum(time_row) * input_max).min(i32::MAX as u64) as i32;
-            *folded = requantizer.apply(dot(row, code, bias)).clamp(-room, room);
-        }
-    }
-
-    fn time_half(&self, layer: &Layer<'_>, input: &[i16], folded: &[i32], output: &mut [i16]) {
-        self.dense_elu(layer, input, folded.iter().copied(), output);
-    }
-
-    fn hidden(&self, layer: &Layer<'_>, input: &[i16], output: &mut [i16]) {
-        self.dense_elu(layer, input, i32s(layer.bias), output);
-    }
-
-    fn output(&self, layer: &Layer<'_>, input: &[i16], mut emit: impl FnMut(i32)) {
-        for ((row, bias), requantizer) in
-            layer.rows().zip(i32s(layer.bias)).zip(layer.requantizers())
-        {
-            emit(requantizer.apply(dot(row, input, bias)));
+/// `folded = weights · code + bias`, in accumulators of the time half.
+pub(crate) fn fold<const FRAMES: usize>(
+    model: &Model<'_>,
+    buffers: &mut Buffers<'_, FRAMES>,
+    code: &Code,
+) {
+    let [code_half, time_half, ..] = model.layers.as_slice() else {
+        return;
+    };
+    let front = buffers.front.as_flattened_mut();
+    let back = buffers.back.as_flattened_mut();
+    store_code(code_half, &code.values, front, back);
+    let room = time_half.room();
+    let rows = code_half.blocks().zip(code_half.biases()).zip(code_half.requantizers());
+    for (folded, ((block, bias), requantizers)) in buffers.folded.iter_mut().zip(rows) {
+        let sums = code_products(code_half, block, front, back, bias);
+        let scaled = requantizers.iter().zip(sums).map(|(scale, sum)| scale.apply(sum));
+        for (folded, scaled) in folded.iter_mut().zip(scaled) {
+            *folded = scaled.clamp(-room, room);
         }
     }
 }
 
-impl Integer {
-    fn dense_elu(
-        &self,
-        layer: &Layer<'_>,
-        input: &[i16],
-        starts: impl Iterator<Item = i32>,
-        output: &mut [i16],
-    ) {
-        let (low, high) = self.0.activation_range();
-        let (low, high) = (i32::from(low), i32::from(high));
-        let zero_point = i32::from(layer.shape.activation.zero_point);
-        let rows = layer.rows().zip(starts).zip(layer.requantizers());
-        for (output, ((row, start), requantizer)) in output.iter_mut().zip(rows) {
-            let pre_activation = requantizer.apply(dot(row, input, start));
-            let stored = layer.activation.apply(elu(pre_activation)).saturating_add(zero_point);
-            *output = stored.clamp(low, high) as i16;
+/// 4-bit weights take 8-bit activations: the upper bytes of the code go to `upper`, the lower ones to `lower`.
+fn store_code(layer: &Layer<'_>, code: &[i16], upper: &mut [Quad], lower: &mut [Quad]) {
+    let quads = layer.shape.columns_filled() / 4;
+    for index in 0..quads {
+        let mut values = [0; 4];
+        let given = code.get(4 * index..).unwrap_or_default();
+        values.iter_mut().zip(given).for_each(|(place, &value)| *place = i32::from(value));
+        if layer.order == Order::Nibbles {
+            let above = values.map(|value| (value + 128) >> 8);
+            store(layer.order, upper, index, above);
+            store(layer.order, lower, index, values.map(|value| i32::from(value as i8)));
+        } else {
+            store(layer.order, upper, index, values);
         }
     }
 }
 
-/// `start + Σ w·x` over a row of i8 weights.
+fn code_products(
+    layer: &Layer<'_>,
+    block: (&[u8], &[u8]),
+    upper: &[Quad],
+    lower: &[Quad],
+    bias: Sums,
+) -> Sums {
+    let mut sums = bias;
+    accumulate(layer, block, upper, &mut sums);
+    if layer.order == Order::Nibbles {
+        let mut fraction = [0; 4];
+        accumulate(layer, block, lower, &mut fraction);
+        sums.iter_mut().zip(fraction).for_each(|(sum, lower)| *sum = sum.wrapping_add(lower >> 8));
+    }
+    sums
+}
+
+/// Decodes `FRAMES` poses.
+pub(crate) fn decode<const FRAMES: usize>(
+    model: &Model<'_>,
+    buffers: &mut Buffers<'_, FRAMES>,
+    positions: [FramePosition; FRAMES],
+    poses: [&mut Pose; FRAMES],
+    observe: &mut impl FnMut(Stage),
+) {
+    let [_, time_half, hidden @ .., last] = model.layers.as_slice() else {
+        return;
+    };
+    let (mut front, mut back) = (&mut *buffers.front, &mut *buffers.back);
+    let next = hidden.first().unwrap_or(last);
+    if !time_half_from_table(model, positions, buffers.folded, next.order, back) {
+        embed(model, time_half, positions, front);
+        observe(Stage::TimeEmbedding);
+        let starts = buffers.folded.iter().copied();
+        activate(time_half, starts, inputs_of(time_half, front), next, back);
+    }
+    observe(Stage::Layer(TIME_LAYER));
+    for (index, layer) in hidden.iter().enumerate() {
+        core::mem::swap(&mut front, &mut back);
+        let next = hidden.get(index + 1).unwrap_or(last);
+        activate(layer, layer.biases(), inputs_of(layer, front), next, back);
+        observe(Stage::Layer(TIME_LAYER + 1 + index));
+    }
+    write_poses(last, inputs_of(last, back), poses);
+    observe(Stage::Output);
+}
+
+/// Hands the products of the time half, without any start, to `sink`: what a time table holds.
+pub(crate) fn time_products(
+    model: &Model<'_>,
+    buffers: &mut Buffers<'_, 1>,
+    position: FramePosition,
+    mut sink: impl FnMut(Sums),
+) {
+    let [_, time_half, ..] = model.layers.as_slice() else {
+        return;
+    };
+    embed(model, time_half, [position], buffers.front);
+    for block in time_half.blocks() {
+        let mut sums = [[0; 4]];
+        accumulate_frames(time_half, block, inputs_of(time_half, buffers.front), &mut sums);
+        sums.into_iter().for_each(&mut sink);
+    }
+}
+
+/// `activations = ELU(weights · input + starts)`, stored as `next` expects them.
+fn activate<const FRAMES: usize>(
+    layer: &Layer<'_>,
+    starts: impl Iterator<Item = Sums>,
+    input: &[[Quad; FRAMES]],
+    next: &Layer<'_>,
+    output: &mut [[Quad; FRAMES]],
+) {
+    let blocks = layer.blocks().zip(starts).zip(layer.requantizers());
+    for (index, ((block, start), requantizers)) in blocks.enumerate() {
+        let mut sums = [start; FRAMES];
+        accumulate_frames(layer, block, input, &mut sums);
+        for (frame, mut sums) in sums.into_iter().enumerate() {
+            for (sum, scale) in sums.iter_mut().zip(&requantizers) {
+                *sum = layer.elu.apply(scale.apply_narrow(*sum));
+            }
+            store_frame(next.order, output, index, frame, sums);
+        }
+    }
+    fill(layer, next, output);
+}
+
+/// Activations that only fill the next layer's last tile are real zeros.
+fn fill<const FRAMES: usize>(layer: &Layer<'_>, next: &Layer<'_>, output: &mut [[Quad; FRAMES]]) {
+    for index in layer.shape.rows_filled() / 4..next.shape.columns_filled() / 4 {
+        for frame in 0..FRAMES {
+            store_frame(next.order, output, index, frame, [layer.elu.zero_point(); 4]);
+        }
+    }
+}
+
+/// `channels = weights · input + bias`, in channel units, Q15.16.
+fn write_poses<const FRAMES: usize>(
+    layer: &Layer<'_>,
+    input: &[[Quad; FRAMES]],
+    mut poses: [&mut Pose; FRAMES],
+) {
+    poses.iter_mut().for_each(|pose| pose.channels.clear());
+    let channel_count = usize::from(layer.shape.output_count);
+    let blocks = layer.blocks().zip(layer.biases()).zip(layer.requantizers());
+    for ((block, bias), requantizers) in blocks {
+        let mut sums = [bias; FRAMES];
+        accumulate_frames(layer, block, input, &mut sums);
+        for (pose, sums) in poses.iter_mut().zip(sums) {
+            let room = channel_count - pose.channels.len().min(channel_count);
+            for (sum, scale) in sums.into_iter().zip(&requantizers).take(room) {
+                // The loader has checked that all channels fit.
+                let _ = pose.channels.push(scale.apply(sum));
+            }
+        }
+    }
+}
+
+/// The sinusoids of every frame, stored as the time half expects them.
+fn embed<const FRAMES: usize>(
+    model: &Model<'_>,
+    time_half: &Layer<'_>,
+    positions: [FramePosition; FRAMES],
+    output: &mut [[Quad; FRAMES]],
+) {
+    let one = i32::from(model.number_format().sinusoid_one());
+    // Exact for one = 32,767 up to the rounding of (q15 · 32767 + 2^14) / 2^15 back to q15.
+    let stored = |q15: i32| if one == 32_767 { q15 } else { (q15 * one + (1 << 14)) >> 15 };
+    let quads = time_half.shape.columns_filled() / 4;
+    for (frame, position) in positions.into_iter().enumerate() {
+        let mut steps = u32s(model.frequencies);
+        for index in 0..quads {
+            let [sine_a, cosine_a] = steps.next().map_or([0; 2], |step| sinusoids(position, step));
+            let [sine_b, cosine_b] = steps.next().map_or([0; 2], |step| sinusoids(position, step));
+            let values = [sine_a, cosine_a, sine_b, cosine_b].map(stored);
+            store_frame(time_half.order, output, index, frame, values);
+        }
+    }
+}
+
+/// Whole frames within the blob's time table need no time half: false where one is not.
+fn time_half_from_table<const FRAMES: usize>(
+    model: &Model<'_>,
+    positions: [FramePosition; FRAMES],
+    folded: &[Sums],
+    order: Order,
+    output: &mut [[Quad; FRAMES]],
+) -> bool {
+    let [_, time_half, next, ..] = model.layers.as_slice() else {
+        return false;
+    };
+    if !positions.iter().all(|&position| model.time_table_row(position).is_some()) {
+        return false;
+    }
+    for (frame, &position) in positions.iter().enumerate() {
+        let row = model.time_table_row(position).unwrap_or_default();
+        let shift = model.manifest().time_table_shift & 15;
+        let mut products = i16s(row).map(|product| i32::from(product) << shift);
+        for (index, (&start, requantizers)) in
+            folded.iter().zip(time_half.requantizers()).enumerate()
+        {
+            let mut sums = start;
+            for (sum, scale) in sums.iter_mut().zip(&requantizers) {
+                let product = products.next().unwrap_or(0);
+                *sum = time_half.elu.apply(scale.apply_narrow(sum.wrapping_add(product)));
+            }
+            store_frame(order, output, index, frame, sums);
+        }
+    }
+    fill(time_half, next, output);
+    true
+}
+
+/// The quads that a layer reads; `Decoder::new` has checked that the buffer is wide enough.
+fn inputs_of<'b, const FRAMES: usize>(
+    layer: &Layer<'_>,
+    buffer: &'b [[Quad; FRAMES]],
+) -> &'b [[Quad; FRAMES]] {
+    buffer.get(..layer.shape.columns_filled() / 4).unwrap_or_default()
+}
+
+fn accumulate_frames<const FRAMES: usize>(
+    layer: &Layer<'_>,
+    block: (&[u8], &[u8]),
+    input: &[[Quad; FRAMES]],
+    sums: &mut [Sums; FRAMES],
+) {
+    if let Ok(pair) = <&mut [Sums; 2]>::try_from(&mut sums[..]) {
+        let input = bytemuck::try_cast_slice(input.as_flattened()).unwrap_or_default();
+        match layer.order {
+            Order::Halfwords => kernel::w8a8_pair(block.0, input, pair),
+            _ => kernel::w8a16_pair(block.0, input, pair),
+        }
+    } else if let [sums] = &mut sums[..] {
+        accumulate(layer, block, input.as_flattened(), sums);
+    }
+}
+
+fn accumulate(layer: &Layer<'_>, block: (&[u8], &[u8]), input: &[Quad], sums: &mut Sums) {
+    let (weights, group_scales) = block;
+    match layer.order {
+        Order::Bytes => kernel::w8a16(weights, input, sums),
+        #[cfg(any(feature = "w8a8", feature = "w4a8"))]
+        Order::Halfwords => kernel::w8a8(weights, input, sums),
+        #[cfg(feature = "w4a8")]
+        Order::Nibbles => kernel::w4a8(weights, group_scales, input, sums),
+        #[cfg(karakuri_rows)]
+        Order::WideRows => kernel::rows::w8a16(weights, numbers(input), sums),
+        #[cfg(karakuri_rows)]
+        Order::ByteRows => kernel::rows::w8a8(weights, numbers(input), sums),
+        // The loader has refused what is not built.
+        _ => {
+            let _ = group_scales;
+        }
+    }
+}
+
+/// Activations that lie one after another; whole words divide into bytes and halfwords.
+#[cfg(karakuri_rows)]
+fn numbers<Number: bytemuck::Pod>(quads: &[Quad]) -> &[Number] {
+    bytemuck::try_cast_slice(quads).unwrap_or_default()
+}
+
+fn store_frame<const FRAMES: usize>(
+    order: Order,
+    output: &mut [[Quad; FRAMES]],
+    index: usize,
+    frame: usize,
+    values: [i32; 4],
+) {
+    store(order, output.as_flattened_mut(), index * FRAMES + frame, values);
+}
+
+/// Four activations into the quad, or the word, of their index.
 #[inline]
-fn dot(row: &[u8], input: &[i16], start: i32) -> i32 {
-    let products = row.iter().zip(input).map(|(&w, &x)| i32::from(w.cast_signed()) * i32::from(x));
-    products.fold(start, i32::wrapping_add)
+fn store(order: Order, quads: &mut [Quad], index: usize, values: [i32; 4]) {
+    let pack = |low: i32, high: i32| (low as u16 as u32) | (high as u32) << 16;
+    let [a, b, c, d] = values;
+    let quad = match order {
+        Order::Halfwords => [pack(256 * a - b, 256 * c - d), pack(b, d)],
+        Order::WideRows => [pack(a, b), pack(c, d)],
+        Order::ByteRows => {
+            let bytes = values.map(|value| value as u8);
+            if let Some(word) = quads.as_flattened_mut().get_mut(index) {
+                *word = u32::from_le_bytes(bytes);
+            }
+            return;
+        }
+        _ => [pack(a, c), pack(b, d)],
+    };
+    if let Some(place) = quads.get_mut(index) {
+        *place = quad;
+    }
 }

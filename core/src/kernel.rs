@@ -27,4 +27,26 @@ pub const GROUP_TILES: usize = 8;
 /// Bytes of the scales of a group: a u16 for each of the four rows.
 pub const GROUP_SCALE_BYTES: usize = 8;
 
+/// Name of the family that `build.rs` chose.
+pub const FAMILY: &str = if cfg!(karakuri_kernel = "dsp") {
+    "dsp"
+} else if cfg!(karakuri_kernel = "armv7m") {
+    "armv7m"
+} else if cfg!(karakuri_kernel = "armv6m") {
+    "armv6m"
+} else if cfg!(karakuri_kernel = "vector") {
+    "vector"
+} else {
+    "portable"
+};
+
+/// Whether the family reads [`Packing::Rows`](crate::manifest::Packing::Rows).
+pub const TAKES_ROWS: bool = cfg!(karakuri_rows);
+
+/// Bytes at whose multiples a blob must start: the assembly loads whole words.
+pub const ALIGNMENT: usize = if TAKES_ROWS { 1 } else { 4 };
+
+#[cfg(karakuri_rows)]
+pub mod rows;
+
 pub use portable::{f16, w4a8, w8a8, w8a8_pair, w8a16, w8a16_pair};

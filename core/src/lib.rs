@@ -21,18 +21,20 @@ mod elu;
 pub mod random;
 pub mod manifest;
 pub mod blob;
+pub mod packing;
 pub mod kernel;
 mod layer;
+mod manifest_check;
 mod model;
 mod code;
 mod sampler;
 mod time_embedding;
 mod workspace;
-mod arithmetic;
 mod integer;
 #[cfg(feature = "f16")]
 mod half_float;
 mod decoder;
+mod pair_decoder;
 mod pose;
 #[cfg(feature = "angles")]
 pub mod angles;
@@ -42,13 +44,16 @@ mod specimen;
 
 pub use code::Code;
 pub use decoder::Decoder;
+#[doc(hidden)]
+pub use decoder::Stage;
 pub use error::{BlobError, SampleError, ServoError};
 pub use manifest::NumberFormat;
 pub use model::{ActionId, Model};
+pub use pair_decoder::PairDecoder;
 pub use pose::Pose;
 pub use pose_layout::{GroupKind, Unit};
 pub use random::Pcg32;
 pub use requantize::Requantizer;
 pub use servo::{ServoCommand, ServoMap, ServoStage};
 pub use time_embedding::FramePosition;
-pub use workspace::Workspace;
+pub use workspace::{PairWorkspace, Workspace};

@@ -17,53 +17,87 @@ pub enum NumberFormat {
     W8A16,
     /// i8 weights with one scale a row, i8 activations with a zero point, i32 accumulator.
     W8A8,
+    /// 4-bit weights with a scale per row and 64 columns, or i8 weights, as each layer says; the rest as `W8A8`.
+    W4A8,
     /// IEEE binary16 weights, f32 activations and accumulator; needs the feature `f16`.
     F16,
 }
 
 impl NumberFormat {
     /// Every format.
-    pub const ALL: [Self; 3] = [Self::W8A16, Self::W8A8, Self::F16];
+    pub const ALL: [Self; 4] = [Self::W8A16, Self::W8A8, Self::W4A8, Self::F16];
 
     /// The name in commands and reports.
     pub const fn name(self) -> &'static str {
         match self {
             Self::W8A16 => "w8a16",
             Self::W8A8 => "w8a8",
+            Self::W4A8 => "w4a8",
             Self::F16 => "f16",
+        }
+    }
+
+    /// Whether this build of the crate can decode the format.
+    pub const fn is_built(self) -> bool {
+        match self {
+            Self::W8A16 => cfg!(feature = "w8a16"),
+            Self::W8A8 => cfg!(feature = "w8a8"),
+            Self::W4A8 => cfg!(feature = "w4a8"),
+            Self::F16 => cfg!(feature = "f16"),
         }
     }
 
     /// Smallest and largest stored activation of the integer formats.
     pub const fn activation_range(self) -> (i16, i16) {
         match self {
-            Self::W8A8 => (-128, 127),
+            Self::W8A8 | Self::W4A8 => (-127, 127),
             Self::W8A16 | Self::F16 => (-32_767, 32_767),
         }
     }
 
     /// The stored value of a sinusoid that is 1.
     pub const fn sinusoid_one(self) -> i16 {
-        match self {
-            Self::W8A8 => 127,
-            Self::W8A16 | Self::F16 => 32_767,
-        }
+        self.activation_range().1
     }
 
-    /// Bytes of one weight.
-    pub const fn weight_bytes(self) -> usize {
-        match self {
-            Self::W8A16 | Self::W8A8 => 1,
-            Self::F16 => 2,
+    /// What the weights of a layer may be.
+    pub const fn allows(self, weights: WeightFormat) -> bool {
+        match weights {
+            WeightFormat::I8 => !matches!(self, Self::F16),
+            WeightFormat::I4 => matches!(self, Self::W4A8),
+            WeightFormat::Half => matches!(self, Self::F16),
         }
     }
 }
 
-/// In which order a layer's weights lie.
+/// How the weights of one layer are stored.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub enum WeightFormat {
+    /// i8 with one scale a row.
+    I8,
+    /// 4 bits with a scale per row and 64 columns; see `kernel::portable::w4a8`.
+    I4,
+    /// IEEE binary16.
+    Half,
+}
+
+/// In which order 8-bit weights lie; 4-bit and binary16 ones have one order only, see `packing.rs`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Packing {
-    /// (out, in), row after row.
-    RowMajor,
+    /// Row after row: for vector units (Cortex-M55) and hosts. The assembly kernels refuse it.
+    Rows,
+    /// Tiles of four rows by four columns: for the assembly kernels. Everyone reads it.
+    Tiles,
+}
+
+impl Packing {
+    /// The name in commands and reports.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Rows => "rows",
+            Self::Tiles => "tiles",
+        }
+    }
 }
 
 /// How the codes of a motion are drawn.
@@ -82,7 +116,7 @@ pub struct Manifest<'a> {
     pub name: &'a str,
     /// How weights and activations are stored.
     pub number_format: NumberFormat,
-    /// Order of the weights.
+    /// Order of 8-bit weights.
     pub packing: Packing,
     /// Poses per 1000 s.
     pub rate_millihz: u32,
@@ -104,6 +138,10 @@ pub struct Manifest<'a> {
     pub layers: heapless::Vec<LayerShape, LAYERS_MAX>,
     /// How codes are drawn.
     pub sampler: SamplerShape,
+    /// Whole frames whose time half is in the blob; 0 is none.
+    pub time_table_frames: u16,
+    /// Entries of the time table are accumulators / 2^this.
+    pub time_table_shift: u8,
     /// Where the model comes from.
     pub provenance: Provenance,
 }
@@ -115,20 +153,31 @@ pub struct LayerShape {
     pub input_count: u16,
     /// Outputs.
     pub output_count: u16,
-    /// Integer formats, hidden layers: ELU (Q15.16) → stored activation,
-    /// `round(elu · multiplier / 2^31 · 2^shift) + zero_point`.
+    /// How the weights are stored.
+    pub weights: WeightFormat,
+    /// Integer formats, layers with an ELU: pre-activation → stored activation.
     pub activation: ActivationScale,
 }
 
-/// See [`LayerShape::activation`]; all zeros where a layer has none.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+/// How the ELU of a layer is computed; [`NONE`](Self::NONE) where a layer has none.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ActivationScale {
-    /// Q0.31.
-    pub multiplier: i32,
-    /// Positive is to the left.
-    pub shift: i8,
-    /// Stored value of zero.
+    /// Octaves (powers of 1/e in base 2) per unit of the pre-activation, Q5.27, at least 1.
+    pub power_step: u32,
+    /// Real 1 in stored units: `one / 2^(one_shift − 16)`, below 2^15.
+    pub one: u16,
+    /// See `one`; at most 30.
+    pub one_shift: u8,
+    /// Stored activation of real 0.
     pub zero_point: i16,
+    /// A unit of the pre-activation is a stored unit / 2^this; at most 8.
+    pub fraction_bits: u8,
+}
+
+impl ActivationScale {
+    /// Of a layer without an ELU.
+    pub const NONE: Self =
+        Self { power_step: 1, one: 0, one_shift: 0, zero_point: 0, fraction_bits: 0 };
 }
 
 /// Sizes of the sampler's tables.
@@ -197,14 +246,16 @@ pub enum TensorKind {
     /// action u16, frames min u16, frames max u16, spread u16 (Q4.12: factor on the noise of `ClipCodes`),
     /// first member u32, members u32. // (interval)
     Intervals,
-    /// i8 or binary16. // (out, in)
+    /// Packed, see `packing.rs`. // (out, in)
     Weights(usize),
-    /// i32 in accumulator units, or f32; none for the time half. // (out)
+    /// u16, 4-bit weights only. // (block of 4 rows, group of 64 columns, row)
+    GroupScales(usize),
+    /// i32 in accumulator units, or f32; none for the time half; rows filled up to a multiple of 4. // (out)
     Bias(usize),
-    /// i32, Q0.31; integer formats only. // (out)
-    Multipliers(usize),
-    /// i8, positive is to the left; integer formats only. // (out)
-    Shifts(usize),
+    /// Words of `Requantizer`, integer formats only; rows filled up to a multiple of 4. // (out)
+    Scales(usize),
+    /// i16, in accumulator units of the time half / 2^time_table_shift. // (frame, out)
+    TimeTable,
 }
 
 impl TensorKind {
@@ -218,7 +269,8 @@ impl TensorKind {
             Self::Members | Self::Intervals => "sampler intervals",
             Self::Weights(_) => "weights",
             Self::Bias(_) => "biases",
-            Self::Multipliers(_) | Self::Shifts(_) => "scales",
+            Self::Scales(_) | Self::GroupScales(_) => "scales",
+            Self::TimeTable => "time table",
         }
     }
 }
@@ -250,20 +302,23 @@ pub fn tensor_plan(manifest: &Manifest<'_>) -> impl Iterator<Item = (TensorKind,
         (TensorKind::Intervals, INTERVAL_BYTES as u64 * u64::from(sampler.interval_count)),
     ];
     let format = manifest.number_format;
+    let time_rows = manifest.layers.get(TIME_LAYER).map_or(0, |shape| shape.rows_filled());
+    let time_table = 2 * u64::from(manifest.time_table_frames) * time_rows as u64;
     let layers = manifest.layers.clone().into_iter().enumerate();
     tables
         .into_iter()
         .chain(layers.flat_map(move |(index, shape)| layer_plan(index, shape, format)))
+        .chain([(TensorKind::TimeTable, time_table)])
 }
 
 fn layer_plan(index: usize, shape: LayerShape, format: NumberFormat) -> [(TensorKind, u64); 4] {
-    let (rows, columns) = (u64::from(shape.output_count), u64::from(shape.input_count));
+    let rows = shape.rows_filled() as u64;
     let with_bias = u64::from(index != TIME_LAYER);
     let with_scales = u64::from(format != NumberFormat::F16);
     [
-        (TensorKind::Weights(index), rows * columns * format.weight_bytes() as u64),
+        (TensorKind::Weights(index), rows / 4 * shape.block_bytes() as u64),
+        (TensorKind::GroupScales(index), rows / 4 * shape.block_scale_bytes() as u64),
         (TensorKind::Bias(index), with_bias * 4 * rows),
-        (TensorKind::Multipliers(index), with_scales * 4 * rows),
-        (TensorKind::Shifts(index), with_scales * rows),
+        (TensorKind::Scales(index), with_scales * 4 * rows),
     ]
 }

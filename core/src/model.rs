@@ -8,13 +8,15 @@
 use crate::blob::{Envelope, aligned};
 use crate::code::Code;
 use crate::error::{BlobError, SampleError};
-use crate::layer::Layer;
-use crate::limits::{CHANNELS_MAX, CODE_MAX, LAYERS_MAX, NAMES_MAX, SINUSOIDS_MAX, WIDTH_MAX};
+use crate::layer::{Layer, Order};
+use crate::limits::LAYERS_MAX;
 use crate::manifest::{
-    CODE_LAYER, Group, Joint, LayerShape, Manifest, NumberFormat, Provenance, SamplerKind,
-    TIME_LAYER, TensorKind, tensor_plan,
+    CODE_LAYER, Group, Joint, LayerShape, Manifest, NumberFormat, Provenance, TIME_LAYER,
+    TensorKind, tensor_plan,
 };
+use crate::manifest_check;
 use crate::sampler::Sampler;
+use crate::time_embedding::FramePosition;
 
 /// Index of an action; the order of [`Model::actions`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -27,6 +29,8 @@ pub struct Model<'a> {
     /// Postcard of groups, action names and joints.
     names: &'a [u8],
     pub(crate) frequencies: &'a [u8],
+    /// i16. // (frame, out)
+    time_table: &'a [u8],
     pub(crate) sampler: Sampler<'a>,
     /// Code half of layer 1, time half of layer 1, then the others.
     pub(crate) layers: heapless::Vec<Layer<'a>, LAYERS_MAX>,
@@ -44,14 +48,20 @@ impl<'a> Model<'a> {
         let envelope = Envelope::parse(bytes)?;
         let (manifest, names) = postcard::take_from_bytes::<Manifest<'a>>(envelope.descriptions)
             .map_err(|_| BlobError::BadField { field: "manifest", value: 0 })?;
-        check_limits(&manifest)?;
-        check_shapes(&manifest)?;
+        manifest_check::check(&manifest, bytes)?;
         let mut model = Self::slice_tensors(&envelope, manifest, names)?;
         model.check_names()?;
         model.sampler.check()?;
         let format = model.manifest.number_format;
+        let hidden = TIME_LAYER..model.layers.len().saturating_sub(1);
         for (index, layer) in model.layers.iter_mut().enumerate() {
             layer.check(index, format)?;
+            if format != NumberFormat::F16 && hidden.contains(&index) && !layer.is_narrow() {
+                return Err(BlobError::BadField {
+                    field: "row scale of layer",
+                    value: index as u32,
+                });
+            }
         }
         Ok(model)
     }
@@ -63,9 +73,12 @@ impl<'a> Model<'a> {
         names: &'a [u8],
     ) -> Result<Self, BlobError> {
         let found = envelope.bytes.len();
-        let (mut frequencies, mut sampler) = (&[][..], Sampler::new(&manifest));
+        let (mut frequencies, mut time_table) = (&[][..], &[][..]);
+        let mut sampler = Sampler::new(&manifest);
+        let (packing, format) = (manifest.packing, manifest.number_format);
+        let layer = |(index, &shape)| Layer::new(shape, packing, format, index);
         let mut layers: heapless::Vec<Layer<'a>, LAYERS_MAX> =
-            manifest.layers.iter().map(|&shape| Layer::new(shape)).collect();
+            manifest.layers.iter().enumerate().map(layer).collect();
         let mut end = envelope.tensors_start();
         for (kind, length) in tensor_plan(&manifest) {
             let start = aligned(end);
@@ -77,10 +90,11 @@ impl<'a> Model<'a> {
                 .ok_or(BlobError::WrongLength { found, expected })?;
             match kind {
                 TensorKind::Frequencies => frequencies = tensor,
+                TensorKind::TimeTable => time_table = tensor,
                 TensorKind::Weights(index)
+                | TensorKind::GroupScales(index)
                 | TensorKind::Bias(index)
-                | TensorKind::Multipliers(index)
-                | TensorKind::Shifts(index) => {
+                | TensorKind::Scales(index) => {
                     if let Some(layer) = layers.get_mut(index) {
                         layer.set_tensor(kind, tensor);
                     }
@@ -92,7 +106,7 @@ impl<'a> Model<'a> {
             let expected = usize::try_from(end).unwrap_or(usize::MAX);
             return Err(BlobError::WrongLength { found, expected });
         }
-        Ok(Self { manifest, names, frequencies, sampler, layers })
+        Ok(Self { manifest, names, frequencies, time_table, sampler, layers })
     }
 
     /// Walks all names once, so that the iterators below cannot meet a broken one later.
@@ -224,11 +238,36 @@ impl<'a> Model<'a> {
 
     /// Width of the [`Workspace`](crate::Workspace) that the model needs.
     pub fn workspace_width(&self) -> usize {
-        let time_and_hidden = self.manifest.layers.iter().skip(TIME_LAYER);
-        time_and_hidden
-            .map(|shape| shape.input_count.max(shape.output_count))
-            .max()
-            .map_or(0, usize::from)
+        let widths = self.manifest.layers.iter().enumerate().map(|(index, shape)| {
+            let codes_need_room = index != CODE_LAYER || self.number_format() != NumberFormat::F16;
+            let columns = if codes_need_room { shape.columns_filled() } else { 0 };
+            columns.max(shape.rows_filled())
+        });
+        widths.max().unwrap_or(0)
+    }
+
+    pub(crate) fn check_width(&self, width: usize) -> Result<(), BlobError> {
+        let needed = self.workspace_width();
+        if width < needed {
+            return Err(BlobError::WorkspaceTooSmall { width, needed });
+        }
+        Ok(())
+    }
+
+    /// Products of the time half at a position, i16 a row, where the blob's time table holds them.
+    pub(crate) fn time_table_row(&self, position: FramePosition) -> Option<&'a [u8]> {
+        let frame = position.whole_frame()?;
+        if frame >= u32::from(self.manifest.time_table_frames) {
+            return None;
+        }
+        let bytes = 2 * self.manifest.layers.get(TIME_LAYER)?.rows_filled();
+        let start = usize::try_from(frame).ok()?.checked_mul(bytes)?;
+        self.time_table.get(start..)?.get(..bytes)
+    }
+
+    /// What the integer kernels need for two frames in one pass: tiles of 8-bit weights in every layer.
+    pub(crate) fn has_pair_kernels(&self) -> bool {
+        self.layers.iter().all(|layer| matches!(layer.order, Order::Bytes | Order::Halfwords))
     }
 
     /// Multiply-accumulates to begin a motion (the code half of layer 1).
@@ -244,69 +283,6 @@ impl<'a> Model<'a> {
 
 fn multiply_accumulates(shape: &LayerShape) -> u64 {
     u64::from(shape.input_count) * u64::from(shape.output_count)
-}
-
-fn check_limits(manifest: &Manifest<'_>) -> Result<(), BlobError> {
-    let widest =
-        manifest.layers.iter().map(|shape| shape.input_count.max(shape.output_count)).max();
-    let channels = manifest.layers.last().map_or(0, |shape| shape.output_count);
-    let code_count =
-        u32::from(manifest.sequence_code_count) + u32::from(manifest.action_code_count);
-    let limited = [
-        ("groups", u32::from(manifest.group_count), NAMES_MAX),
-        ("actions", u32::from(manifest.action_count), NAMES_MAX),
-        ("joints", u32::from(manifest.joint_count), NAMES_MAX),
-        ("numbers of a code", code_count, CODE_MAX),
-        ("sinusoids", 2 * u32::from(manifest.frequency_count), SINUSOIDS_MAX),
-        ("channels", u32::from(channels), CHANNELS_MAX),
-        ("layer width", u32::from(widest.unwrap_or(0)), WIDTH_MAX),
-        ("code fraction bits", u32::from(manifest.code_fraction_bits), 15),
-        ("components", manifest.sampler.component_count, u16::MAX as usize),
-        ("step towards a neighbour", manifest.sampler.step_max_q16, 1 << 16),
-    ];
-    match limited.into_iter().find(|&(_, value, max)| value as usize > max) {
-        Some((field, value, max)) => Err(BlobError::OverLimit { field, value, max: max as u32 }),
-        None => Ok(()),
-    }
-}
-
-/// Every layer must take what the one before it gives.
-fn check_shapes(manifest: &Manifest<'_>) -> Result<(), BlobError> {
-    let bad = |field, value: usize| Err(BlobError::BadField { field, value: value as u32 });
-    let code_count = manifest.sequence_code_count + manifest.action_code_count;
-    let layers = &manifest.layers;
-    let (Some(code_layer), Some(time_layer)) = (layers.get(CODE_LAYER), layers.get(TIME_LAYER))
-    else {
-        return bad("layers", layers.len());
-    };
-    if layers.len() < 3 {
-        return bad("layers", layers.len());
-    }
-    if let Some(index) =
-        layers.iter().position(|shape| shape.input_count == 0 || shape.output_count == 0)
-    {
-        return bad("empty layer", index);
-    }
-    if code_layer.input_count != code_count || code_layer.output_count != time_layer.output_count {
-        return bad("shape of layer", CODE_LAYER);
-    }
-    if time_layer.input_count != 2 * manifest.frequency_count {
-        return bad("shape of layer", TIME_LAYER);
-    }
-    let pairs = layers.iter().zip(layers.iter().skip(1)).enumerate().skip(TIME_LAYER);
-    for (index, (layer, next)) in pairs {
-        if layer.output_count != next.input_count {
-            return bad("shape of layer", index + 1);
-        }
-    }
-    if manifest.rate_millihz == 0 {
-        return bad("rate", 0);
-    }
-    let diagonal = manifest.sampler.kind == SamplerKind::DiagonalMixture;
-    if diagonal && manifest.sampler.step_max_q16 != 0 {
-        return bad("step of a diagonal mixture", manifest.sampler.step_max_q16 as usize);
-    }
-    Ok(())
 }
 
 /// Postcard values that lie one after another; ends early at a broken one.
@@ -348,6 +324,7 @@ mod tests {
 
     use super::*;
     use crate::blob::{HEADER_BYTES, VERSION};
+    use crate::manifest::SamplerKind;
     use crate::specimen::specimen;
 
     fn w8a16() -> Vec<u8> {

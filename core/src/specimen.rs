@@ -5,9 +5,9 @@ use std::vec::Vec;
 
 use crate::blob::BlobParts;
 use crate::manifest::*;
+use crate::packing::ByteLayout;
 use crate::pose_layout::{GroupKind, Unit};
 use crate::random::Pcg32;
-use crate::requantize::Requantizer;
 
 const SEQUENCE_CODE: usize = 3;
 const ACTION_CODE: usize = 2;
@@ -17,15 +17,34 @@ const COMPONENTS: usize = 5;
 /// (in, out) of code half, time half, hidden, output.
 const SHAPES: [(u16, u16); 4] = [(5, 6), (8, 6), (6, 7), (7, 4)];
 
-/// Bytes of the specimen.
+/// Bytes of the specimen, packed in tiles.
 pub fn specimen(format: NumberFormat, kind: SamplerKind) -> Vec<u8> {
-    let manifest = manifest(format, kind);
+    specimen_packed(format, kind, Packing::Tiles)
+}
+
+/// The same weights in any packing.
+pub fn specimen_packed(format: NumberFormat, kind: SamplerKind, packing: Packing) -> Vec<u8> {
+    emit(&manifest(format, kind, packing), |_| None)
+}
+
+/// The specimen with a time table of `rows` · 2^`shift`, four numbers a block.
+pub fn specimen_with_time_table(format: NumberFormat, rows: &[Vec<i16>], shift: u8) -> Vec<u8> {
+    let mut manifest = manifest(format, SamplerKind::ClipCodes, Packing::Tiles);
+    manifest.time_table_frames = rows.len() as u16;
+    manifest.time_table_shift = shift;
+    let bytes: Vec<u8> = rows.iter().flatten().flat_map(|x| x.to_le_bytes()).collect();
+    emit(&manifest, |kind| (kind == TensorKind::TimeTable).then(|| bytes.clone()))
+}
+
+fn emit(manifest: &Manifest<'_>, given: impl Fn(TensorKind) -> Option<Vec<u8>>) -> Vec<u8> {
     let mut random = Pcg32::new(42);
-    let plan: Vec<_> = tensor_plan(&manifest).collect();
-    let tensors: Vec<(TensorKind, Vec<u8>)> = plan
-        .iter()
-        .map(|&(kind, length)| (kind, tensor(kind, length as usize, format, &mut random)))
-        .collect();
+    let plan: Vec<_> = tensor_plan(manifest).collect();
+    let make = |&(kind, length): &(TensorKind, u64)| {
+        let bytes =
+            given(kind).unwrap_or_else(|| tensor(kind, length as usize, manifest, &mut random));
+        (kind, bytes)
+    };
+    let tensors: Vec<(TensorKind, Vec<u8>)> = plan.iter().map(make).collect();
     let tensors: Vec<(TensorKind, &[u8])> =
         tensors.iter().map(|(kind, bytes)| (*kind, bytes.as_slice())).collect();
     let groups = [
@@ -38,7 +57,7 @@ pub fn specimen(format: NumberFormat, kind: SamplerKind) -> Vec<u8> {
     ];
     let actions = ["nod", "walk"];
     let parts = BlobParts {
-        manifest: &manifest,
+        manifest,
         groups: &groups,
         actions: &actions,
         joints: &joints,
@@ -50,17 +69,30 @@ pub fn specimen(format: NumberFormat, kind: SamplerKind) -> Vec<u8> {
     blob
 }
 
-fn manifest(format: NumberFormat, kind: SamplerKind) -> Manifest<'static> {
-    let requantizer = ActivationScale { multiplier: 1 << 30, shift: -4, zero_point: 0 };
+fn manifest(format: NumberFormat, kind: SamplerKind, packing: Packing) -> Manifest<'static> {
+    let bytes = format.activation_range().1 == 127;
+    let activation = ActivationScale {
+        power_step: if bytes { 13_000 } else { 30_000 },
+        one: 16_500,
+        one_shift: if bytes { 25 } else { 19 },
+        zero_point: if bytes { -90 } else { 0 },
+        fraction_bits: if bytes { 8 } else { 0 },
+    };
     let layers = SHAPES.map(|(input_count, output_count)| LayerShape {
         input_count,
         output_count,
-        activation: requantizer,
+        weights: match format {
+            NumberFormat::F16 => WeightFormat::Half,
+            // One layer of the other kind, so that layers of both meet.
+            NumberFormat::W4A8 if output_count != 7 => WeightFormat::I4,
+            _ => WeightFormat::I8,
+        },
+        activation,
     });
     Manifest {
         name: "specimen",
         number_format: format,
-        packing: Packing::RowMajor,
+        packing,
         rate_millihz: 50_000,
         group_count: 2,
         action_count: 2,
@@ -77,11 +109,14 @@ fn manifest(format: NumberFormat, kind: SamplerKind) -> Manifest<'static> {
             interval_count: 3,
             step_max_q16: if kind == SamplerKind::ClipCodes { 13_107 } else { 0 },
         },
+        time_table_frames: 0,
+        time_table_shift: 0,
         provenance: Provenance { config_hash: [7; 32], seed: 9 },
     }
 }
 
-fn tensor(kind: TensorKind, length: usize, format: NumberFormat, random: &mut Pcg32) -> Vec<u8> {
+fn tensor(kind: TensorKind, length: usize, manifest: &Manifest<'_>, random: &mut Pcg32) -> Vec<u8> {
+    let format = manifest.number_format;
     let noise = |random: &mut Pcg32| (random.next_u32() >> 24) as u8;
     match kind {
         TensorKind::Frequencies => [1u32 << 27, 1 << 25, 1 << 23, 1 << 20]
@@ -106,16 +141,30 @@ fn tensor(kind: TensorKind, length: usize, format: NumberFormat, random: &mut Pc
         TensorKind::Weights(_) if format == NumberFormat::F16 => (0..length / 2)
             .flat_map(|_| (0x3000 | (random.next_u32() as u16 & 0x83FF)).to_le_bytes())
             .collect(),
+        TensorKind::Weights(index) if manifest.layers[index].weights == WeightFormat::I8 => {
+            let shape = manifest.layers[index];
+            let count = usize::from(shape.input_count) * usize::from(shape.output_count);
+            let weights: Vec<i8> =
+                (0..count).map(|_| (noise(random).cast_signed()).max(-127)).collect();
+            let mut packed = vec![0; length];
+            let narrow = index != CODE_LAYER && format != NumberFormat::W8A16;
+            ByteLayout::new(manifest.packing, narrow).pack(&shape, &weights, &mut packed);
+            packed
+        }
+        TensorKind::GroupScales(_) => (0..length / 2)
+            .flat_map(|_| (0x4000 | (random.next_u32() as u16 & 0x3FFF)).to_le_bytes())
+            .collect(),
         TensorKind::Bias(_) if format == NumberFormat::F16 => {
             (0..length / 4).flat_map(|_| (f32::from(noise(random)) / 256.0).to_le_bytes()).collect()
         }
         TensorKind::Bias(_) => {
             (0..length / 4).flat_map(|_| (random.next_u32() as i32 >> 14).to_le_bytes()).collect()
         }
-        TensorKind::Multipliers(_) => {
-            (0..length / 4).flat_map(|_| (3i32 << 29).to_le_bytes()).collect()
+        TensorKind::Scales(index) => {
+            // The last layer's channels are Q15.16, everything else is accumulators or activations.
+            let right = if index + 1 == SHAPES.len() { 32 } else { 38 };
+            (0..length / 4).flat_map(|_| ((0x5000_0000u32 & !63) | right).to_le_bytes()).collect()
         }
-        TensorKind::Shifts(_) => vec![(-3i8).cast_unsigned(); length],
         _ => (0..length).map(|_| noise(random)).collect(),
     }
 }
@@ -129,9 +178,6 @@ fn interval(
     let halves = [action, *frames.start(), *frames.end(), 4096].map(u16::to_le_bytes).concat();
     [halves, [first, count].map(u32::to_le_bytes).concat()].concat()
 }
-
-/// The factor that [`manifest`] stores, checked here so that a change of the type cannot invalidate the specimen.
-const _: () = assert!(Requantizer::new(1 << 30, -4).is_some());
 
 #[cfg(test)]
 mod tests {

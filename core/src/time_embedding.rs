@@ -6,7 +6,6 @@
 //! Source: MotionINR's table [sin(w_0 t), cos(w_0 t), sin(w_1 t), …]; here t may be fractional, as the paper says
 //! and its code does not allow.
 
-use crate::little_endian::u32s;
 use crate::sine::{QUARTER_TURN, sine_q15};
 
 /// A point in a motion, in frames from its start: Q16.16, so fractions of a frame are allowed.
@@ -40,42 +39,34 @@ impl FramePosition {
         Self(u32::try_from(frames_q16).unwrap_or(u32::MAX))
     }
 
+    /// The frame, where this is a whole one.
+    pub(crate) const fn whole_frame(self) -> Option<u32> {
+        if self.0 & 0xFFFF == 0 { Some(self.0 >> 16) } else { None }
+    }
+
     /// Phase of a sinusoid that advances by `step` per frame; a turn is 2^32.
     const fn phase(self, step: u32) -> u32 {
         ((self.0 as u64 * step as u64) >> 16) as u32
     }
 }
 
-/// Writes `[sin, cos]` of every frequency into `output`, in Q0.15, each passed through `store`.
-///
-/// # Shapes
-/// `steps` (pair) u32, turns per frame · 2^32 · `output` (2 · pair)
-pub(crate) fn embed<Value>(
-    position: FramePosition,
-    steps: &[u8],
-    output: &mut [Value],
-    store: impl Fn(i16) -> Value,
-) {
-    for (pair, step) in output.chunks_exact_mut(2).zip(u32s(steps)) {
-        let phase = position.phase(step);
-        if let [sine, cosine] = pair {
-            *sine = store(sine_q15(phase));
-            *cosine = store(sine_q15(phase.wrapping_add(QUARTER_TURN)));
-        }
-    }
+/// `[sin, cos]` of the frequency that advances by `step` (turns · 2^32) per frame, in Q0.15.
+#[inline]
+pub(crate) fn sinusoids(position: FramePosition, step: u32) -> [i32; 2] {
+    let phase = position.phase(step);
+    [phase, phase.wrapping_add(QUARTER_TURN)].map(|phase| i32::from(sine_q15(phase)))
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{FramePosition, embed};
+    use super::{FramePosition, sinusoids};
 
     #[test]
     fn embedding_follows_the_paper_at_whole_and_fractional_frames() {
         for (pair, rate_rad) in [(0, 1.0), (1, 0.93), (2, 1e-4)] {
             let step = (rate_rad / core::f64::consts::TAU * 4_294_967_296.0) as u32;
             for bits in [0, 1 << 16, 470 << 16, (123 << 16) + 32_768, 4000 << 16] {
-                let mut output = [0i16; 2];
-                embed(FramePosition::from_bits(bits), &step.to_le_bytes(), &mut output, |x| x);
+                let output = sinusoids(FramePosition::from_bits(bits), step);
                 let angle = rate_rad * f64::from(bits) / 65_536.0;
                 let [sine, cosine] = output.map(|x| f64::from(x) / 32_767.0);
                 assert!((sine - libm::sin(angle)).abs() < 4e-5, "pair {pair} at {bits}");

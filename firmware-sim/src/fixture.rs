@@ -9,9 +9,10 @@ use std::fs;
 use karakuri::blob::BlobParts;
 use karakuri::manifest::{
     ActivationScale, Group, LayerShape, Manifest, Packing, Provenance, SamplerKind, SamplerShape,
-    TensorKind,
+    TensorKind, WeightFormat,
 };
-use karakuri::{GroupKind, NumberFormat, Pcg32, Unit};
+use karakuri::packing::ByteLayout;
+use karakuri::{GroupKind, NumberFormat, Pcg32, Requantizer, Unit};
 use safetensors::Dtype;
 use safetensors::tensor::TensorView;
 use tempfile::TempDir;
@@ -161,7 +162,7 @@ impl Units {
         Self {
             sinusoid: 1.0 / f64::from(format.sinusoid_one()),
             // Activations of this model stay below 8.
-            activation: 8.0 / f64::from(1 << if format == NumberFormat::W8A8 { 7 } else { 15 }),
+            activation: 8.0 / f64::from(format.activation_range().1),
             code: 1.0 / f64::from(1 << CODE_FRACTION_BITS),
         }
     }
@@ -281,56 +282,93 @@ fn layer_tensors(
     format: NumberFormat,
 ) {
     let units = Units::of(format);
+    let bytes = index > 0 && format.activation_range().1 == 127;
     // Stored inputs; of what the accumulator's unit becomes.
     let (input_unit, output_unit) = match index {
-        0 => (units.code, WEIGHT_UNIT * units.sinusoid),
-        1 => (units.sinusoid, 1.0 / 65_536.0),
-        _ => (units.activation, 1.0 / 65_536.0),
+        0 => (units.code, accumulator_unit(1, units.sinusoid, format)),
+        1 => (units.sinusoid, pre_activation_unit(format)),
+        _ => (units.activation, pre_activation_unit(format)),
     };
-    let accumulator_unit = WEIGHT_UNIT * input_unit;
-    let zero_point = f64::from(if index > 1 { activation(format).zero_point } else { 0 });
-    let (mut weights, mut bias) = (Vec::new(), Vec::new());
-    let (mut multipliers, mut shifts) = (Vec::new(), Vec::new());
+    let output_unit = if device.is_last { 1.0 / 65_536.0 } else { output_unit };
+    let accumulator_unit = accumulator_unit(index, input_unit, format);
+    let (mut weights, mut bias, mut scales) = (Vec::new(), Vec::new(), Vec::new());
     let rows = device.layer.weights.chunks_exact(device.layer.input_count);
-    for (row_index, row) in rows.enumerate() {
-        let row = &row[device.start..][..device.input_count];
+    let rows: Vec<&[i8]> = rows.map(|row| &row[device.start..][..device.input_count]).collect();
+    for (row_index, row) in rows.iter().enumerate() {
         let (scale, mean) = (device.scale[row_index], device.mean[row_index]);
         let real_bias = device.layer.bias[row_index];
         if format == NumberFormat::F16 {
-            let folded =
-                |&weight: &i8| half::f16::from_f64(f64::from(weight) * WEIGHT_UNIT * scale);
-            weights.extend(row.iter().flat_map(|weight| folded(weight).to_le_bytes()));
             bias.extend(((real_bias * scale + mean) as f32).to_le_bytes());
             continue;
         }
-        weights.extend(row.iter().map(|&weight| weight as u8));
-        let row_sum: f64 = row.iter().map(|&weight| f64::from(weight)).sum();
-        let stored_bias = (real_bias + mean / scale) / accumulator_unit - zero_point * row_sum;
+        weights.extend(row.iter().copied());
+        let stored_bias = (real_bias + mean / scale) / accumulator_unit;
         bias.extend((stored_bias.round() as i32).to_le_bytes());
-        let (multiplier, shift) = requantizer(accumulator_unit * scale / output_unit);
-        multipliers.extend(multiplier.to_le_bytes());
-        shifts.push(shift as u8);
+        scales.extend(requantizer(accumulator_unit * scale / output_unit).to_le_bytes());
     }
-    tensors.push((TensorKind::Weights(index), weights));
+    let shape = shape(index, device, format);
+    let filling = shape.rows_filled() - rows.len();
+    bias.extend(vec![0; 4 * filling]);
+    let packed = if format == NumberFormat::F16 {
+        pack_half(&rows, &device.scale)
+    } else {
+        let mut packed = vec![0; shape.rows_filled() / 4 * shape.block_bytes()];
+        ByteLayout::new(Packing::Tiles, bytes).pack(&shape, &weights, &mut packed);
+        scales.extend(Requantizer::TINY.to_bits().to_le_bytes().repeat(filling));
+        packed
+    };
+    tensors.push((TensorKind::Weights(index), packed));
     if device.has_bias {
         tensors.push((TensorKind::Bias(index), bias));
     }
-    tensors.push((TensorKind::Multipliers(index), multipliers));
-    tensors.push((TensorKind::Shifts(index), shifts));
+    tensors.push((TensorKind::Scales(index), scales));
 }
 
-/// `factor = multiplier / 2^31 · 2^shift` with the multiplier in 2^30..2^31.
-fn requantizer(factor: f64) -> (i32, i8) {
-    let shift = factor.log2().floor() as i32 + 1;
-    ((factor * 2.0_f64.powi(31 - shift)).round() as i32, shift as i8)
+/// Blocks of four rows, a column's four weights together.
+fn pack_half(rows: &[&[i8]], scale: &[f64]) -> Vec<u8> {
+    let weight = |row: usize, column: usize| {
+        rows.get(row).map_or(0.0, |weights| f64::from(weights[column]) * WEIGHT_UNIT * scale[row])
+    };
+    let columns = rows[0].len();
+    let blocks = (0..rows.len()).step_by(4);
+    let fours = blocks.flat_map(|block| (0..columns).map(move |column| (block, column)));
+    let four = |(block, column)| (block..block + 4).map(move |row| weight(row, column));
+    fours.flat_map(four).flat_map(|weight| half::f16::from_f64(weight).to_le_bytes()).collect()
+}
+
+/// Real value of an accumulator's 1: kernels of 8-bit activations count 256 for a product.
+fn accumulator_unit(index: usize, input_unit: f64, format: NumberFormat) -> f64 {
+    let bytes = index > 0 && format.activation_range().1 == 127;
+    WEIGHT_UNIT * input_unit / if bytes { 256.0 } else { 1.0 }
+}
+
+fn pre_activation_unit(format: NumberFormat) -> f64 {
+    Units::of(format).activation / f64::from(1 << activation(format).fraction_bits)
+}
+
+/// The word nearest to a factor; its low six bits are the shift.
+fn requantizer(factor: f64) -> u32 {
+    let right = 30 - factor.log2().floor() as i32;
+    let sixty_fourths = (factor * 2.0_f64.powi(right) - f64::from(right)) / 64.0;
+    sixty_fourths.round() as u32 * 64 + right as u32
 }
 
 fn activation(format: NumberFormat) -> ActivationScale {
     if format == NumberFormat::F16 {
-        return ActivationScale::default();
+        return ActivationScale::NONE;
     }
-    let (multiplier, shift) = requantizer(1.0 / 65_536.0 / Units::of(format).activation);
-    ActivationScale { multiplier, shift, zero_point: 0 }
+    let fraction_bits = if format.activation_range().1 == 127 { 8 } else { 0 };
+    let unit = Units::of(format).activation;
+    let power_step = unit / f64::from(1 << fraction_bits) * std::f64::consts::LOG2_E;
+    // Units are between 2^-12 and 2^-3: 1 in 15 bits.
+    let one_shift = 30 - (1.0 / unit).log2().floor() as i32;
+    ActivationScale {
+        power_step: (power_step * 2.0_f64.powi(27)).round() as u32,
+        one: (2.0_f64.powi(one_shift - 16) / unit).round() as u16,
+        one_shift: one_shift as u8,
+        zero_point: 0,
+        fraction_bits,
+    }
 }
 
 fn shape(index: usize, device: &DeviceLayer<'_>, format: NumberFormat) -> LayerShape {
@@ -338,7 +376,8 @@ fn shape(index: usize, device: &DeviceLayer<'_>, format: NumberFormat) -> LayerS
     LayerShape {
         input_count: device.input_count as u16,
         output_count: device.layer.bias.len() as u16,
-        activation: if has_activation { activation(format) } else { ActivationScale::default() },
+        weights: if format == NumberFormat::F16 { WeightFormat::Half } else { WeightFormat::I8 },
+        activation: if has_activation { activation(format) } else { ActivationScale::NONE },
     }
 }
 
@@ -346,7 +385,7 @@ fn manifest(format: NumberFormat, layers: &[LayerShape]) -> Manifest<'static> {
     Manifest {
         name: "fixture",
         number_format: format,
-        packing: Packing::RowMajor,
+        packing: Packing::Tiles,
         rate_millihz: 50_000,
         group_count: GROUPS.len() as u16,
         action_count: ACTIONS.len() as u16,
@@ -363,6 +402,8 @@ fn manifest(format: NumberFormat, layers: &[LayerShape]) -> Manifest<'static> {
             interval_count: ACTIONS.len() as u16,
             step_max_q16: 1 << 14,
         },
+        time_table_frames: 0,
+        time_table_shift: 0,
         provenance: Provenance { config_hash: [0; 32], seed: 0 },
     }
 }

@@ -6,16 +6,23 @@
 //! Standardisation is folded into the last layer, so that the device's channels come out in channel units; layer 1 is
 //! split into its code half and its time half. Offsets are `karakuri::blob`'s business.
 
+// In the order of the data's journey.
+pub mod split;
 pub mod calibrate;
 pub mod layer;
+pub mod nibble;
+pub mod scale;
+pub mod stored;
+pub mod half_layers;
+pub mod integer_layers;
 pub mod sampler;
+pub mod time_table;
 
 use std::f64::consts::TAU;
 
-use half::f16;
 use karakuri::manifest::{
-    ActivationScale, CODE_LAYER, Group, Joint, LayerShape, Manifest, NumberFormat, Packing,
-    Provenance, SamplerKind, TIME_LAYER, TensorKind,
+    Group, Joint, Manifest, NumberFormat, Packing, Provenance, SamplerKind, TensorKind,
+    WeightFormat,
 };
 use karakuri::{Model, blob::BlobParts, limits};
 
@@ -23,11 +30,13 @@ use crate::dataset::DatasetDescription;
 use crate::error::{Error, Result};
 use crate::float_model::{CodeTable, DenseLayer, FloatModel};
 use crate::mixture::set::MixtureSet;
-use crate::quantize::calibrate::{Observed, calibrate, calibration_cases};
-use crate::quantize::layer::{
-    InputScale, IntegerLayer, activation_scale, quantize_layer, requantizer_of,
-};
+use crate::quantize::calibrate::{calibrate, calibration_cases};
+use crate::quantize::half_layers::half_layers;
+use crate::quantize::integer_layers::{IntegerInput, integer_layers};
 use crate::quantize::sampler::{code_fraction_bits, quantize_sampler};
+use crate::quantize::split::split_layers;
+use crate::quantize::stored::StoredLayers;
+use crate::quantize::time_table::{TimeTable, time_table};
 
 /// What becomes a blob.
 #[derive(Clone, Copy)]
@@ -56,35 +65,104 @@ pub struct Quantized {
     pub accumulator_use: Vec<f64>,
 }
 
-/// Quantises a checkpoint to `format`, with a sampler of `sampler_kind`.
+/// How it becomes a blob.
+#[derive(Clone, Debug, PartialEq)]
+pub struct QuantizeOptions {
+    /// Of weights and activations.
+    pub format: NumberFormat,
+    /// Order of 8-bit weights.
+    pub packing: Packing,
+    /// How the device draws codes.
+    pub sampler: SamplerKind,
+    /// Weights of each layer (code half, time half, the others); `None`: the narrowest that the format has.
+    pub weights: Option<Vec<WeightFormat>>,
+    /// Whole frames whose time half is stored; 0 is none.
+    pub time_table_frames: u16,
+}
+
+impl QuantizeOptions {
+    /// Tiles, clip codes, no time table.
+    pub const fn new(format: NumberFormat) -> Self {
+        Self {
+            format,
+            packing: Packing::Tiles,
+            sampler: SamplerKind::ClipCodes,
+            weights: None,
+            time_table_frames: 0,
+        }
+    }
+}
+
+/// Quantises a checkpoint.
 ///
 /// # Errors
 /// A shape beyond `karakuri::limits`, or a weight that the format cannot hold; each names what to change.
-pub fn quantize(
-    input: &QuantizeInput<'_>,
-    format: NumberFormat,
-    sampler_kind: SamplerKind,
-) -> Result<Quantized> {
+pub fn quantize(input: &QuantizeInput<'_>, options: &QuantizeOptions) -> Result<Quantized> {
     let fraction_bits = code_fraction_bits([input.sequence_codes, input.action_codes]);
-    let sampler =
-        quantize_sampler(sampler_kind, input.sequence_codes, input.mixtures, fraction_bits);
     let layers = split_layers(input.model, input.dataset);
     check_fits(&layers, input)?;
-    let quantized = match format {
-        NumberFormat::F16 => half_layers(&layers)?,
-        NumberFormat::W8A16 | NumberFormat::W8A8 => {
-            integer_layers(input, &layers, format, fraction_bits)?
-        }
+    let stored = store_layers(input, options, &layers, fraction_bits)?;
+    let mut blob = assemble(input, options, &stored, fraction_bits, None)?;
+    if options.time_table_frames > 0 {
+        // The table is made by the device's own arithmetic, from the blob that has none.
+        let table = time_table(&load(input.name, &blob)?, options.time_table_frames)?;
+        blob = assemble(input, options, &stored, fraction_bits, Some(&table))?;
+    }
+    Ok(Quantized { blob, accumulator_use: stored.accumulator_use })
+}
+
+fn store_layers(
+    input: &QuantizeInput<'_>,
+    options: &QuantizeOptions,
+    layers: &[DenseLayer],
+    code_fraction_bits: u8,
+) -> Result<StoredLayers> {
+    if options.format == NumberFormat::F16 {
+        return half_layers(layers);
+    }
+    let cases = calibration_cases(
+        input.sequence_codes,
+        input.action_codes,
+        input.dataset,
+        input.mixtures,
+        input.provenance.seed,
+    )?;
+    let observed = calibrate(input.model, &cases);
+    let narrowest = match options.format {
+        NumberFormat::W4A8 => WeightFormat::I4,
+        _ => WeightFormat::I8,
     };
+    let weights = options.weights.clone().unwrap_or_else(|| vec![narrowest; layers.len()]);
+    let (format, packing) = (options.format, options.packing);
+    integer_layers(IntegerInput {
+        layers,
+        observed: &observed,
+        format,
+        packing,
+        weights: &weights,
+        code_fraction_bits,
+    })
+}
+
+fn assemble(
+    input: &QuantizeInput<'_>,
+    options: &QuantizeOptions,
+    stored: &StoredLayers,
+    fraction_bits: u8,
+    table: Option<&TimeTable>,
+) -> Result<Vec<u8>> {
+    let sampler =
+        quantize_sampler(options.sampler, input.sequence_codes, input.mixtures, fraction_bits);
     let mut tensors = sampler.tensors;
-    tensors.extend(quantized.tensors);
+    tensors.extend(stored.tensors.iter().cloned());
     tensors.push((TensorKind::Frequencies, frequency_bytes(&input.model.frequencies_rad)));
     tensors.push((TensorKind::ActionCodes, action_code_bytes(input.action_codes, fraction_bits)));
+    tensors.extend(table.map(|table| (TensorKind::TimeTable, table.bytes())));
     let dataset = input.dataset;
     let manifest = Manifest {
         name: input.name,
-        number_format: format,
-        packing: Packing::RowMajor,
+        number_format: options.format,
+        packing: options.packing,
         rate_millihz: (dataset.rate_hz * 1000.0).round() as u32,
         group_count: dataset.layout.groups.len() as u16,
         action_count: dataset.actions.len() as u16,
@@ -93,12 +171,13 @@ pub fn quantize(
         action_code_count: input.model.action_code_count as u16,
         code_fraction_bits: fraction_bits,
         frequency_count: input.model.frequencies_rad.len() as u16,
-        layers: quantized.shapes.iter().copied().collect(),
+        layers: stored.shapes.iter().copied().collect(),
         sampler: sampler.shape,
+        time_table_frames: table.map_or(0, |table| table.frames),
+        time_table_shift: table.map_or(0, |table| table.shift),
         provenance: input.provenance,
     };
-    let blob = emit(&manifest, dataset, &tensors)?;
-    Ok(Quantized { blob, accumulator_use: quantized.accumulator_use })
+    emit(&manifest, dataset, &tensors)
 }
 
 /// Refuses what the manifest's 16-bit counts and bounded list of layers could not even say.
@@ -127,172 +206,6 @@ fn check_fits(layers: &[DenseLayer], input: &QuantizeInput<'_>) -> Result<()> {
             "train a smaller model",
         )),
     }
-}
-
-/// Layers as the device has them: code half, time half (without bias), the others; the last in channel units.
-fn split_layers(model: &FloatModel, dataset: &DatasetDescription) -> Vec<DenseLayer> {
-    let first = &model.layers[0];
-    let code_count = model.sequence_code_count + model.action_code_count;
-    let columns = |range: std::ops::Range<usize>, bias: Vec<f32>| DenseLayer {
-        input_count: range.len(),
-        output_count: first.output_count,
-        weights: first
-            .weights
-            .chunks_exact(first.input_count)
-            .flat_map(|row| row[range.clone()].iter().copied())
-            .collect(),
-        bias,
-    };
-    let mut layers = vec![
-        columns(0..code_count, first.bias.clone()),
-        columns(code_count..first.input_count, vec![0.0; first.output_count]),
-    ];
-    layers.extend(model.layers[1..].iter().cloned());
-    if let Some(last) = layers.last_mut() {
-        let standardization = dataset.mean.iter().zip(&dataset.scale);
-        let rows = last.weights.chunks_exact_mut(last.input_count).zip(&mut last.bias);
-        for ((weights, bias), (mean, scale)) in rows.zip(standardization) {
-            weights.iter_mut().for_each(|weight| *weight *= scale);
-            *bias = *bias * scale + mean;
-        }
-    }
-    layers
-}
-
-struct QuantizedLayers {
-    shapes: Vec<LayerShape>,
-    tensors: Vec<(TensorKind, Vec<u8>)>,
-    accumulator_use: Vec<f64>,
-}
-
-fn shape_of(layer: &DenseLayer, activation: ActivationScale) -> LayerShape {
-    LayerShape {
-        input_count: layer.input_count as u16,
-        output_count: layer.output_count as u16,
-        activation,
-    }
-}
-
-fn half_layers(layers: &[DenseLayer]) -> Result<QuantizedLayers> {
-    let mut tensors = Vec::new();
-    for (index, layer) in layers.iter().enumerate() {
-        if let Some(weight) =
-            layer.weights.iter().find(|&&weight| !f16::from_f32(weight).is_finite())
-        {
-            return Err(Error::bad_input(
-                "checkpoint",
-                format!("weight of layer {index}"),
-                weight,
-                "a magnitude of at most 65504, the largest of binary16",
-                "quantise to w8a16, or lower the learning rate and train again",
-            ));
-        }
-        let weights =
-            layer.weights.iter().flat_map(|&weight| f16::from_f32(weight).to_le_bytes()).collect();
-        tensors.push((TensorKind::Weights(index), weights));
-        if index != TIME_LAYER {
-            let bias = layer.bias.iter().flat_map(|bias| bias.to_le_bytes()).collect();
-            tensors.push((TensorKind::Bias(index), bias));
-        }
-    }
-    let shapes = layers.iter().map(|layer| shape_of(layer, ActivationScale::default())).collect();
-    Ok(QuantizedLayers { shapes, tensors, accumulator_use: Vec::new() })
-}
-
-fn integer_layers(
-    input: &QuantizeInput<'_>,
-    layers: &[DenseLayer],
-    format: NumberFormat,
-    fraction_bits: u8,
-) -> Result<QuantizedLayers> {
-    let cases = calibration_cases(
-        input.sequence_codes,
-        input.action_codes,
-        input.dataset,
-        input.mixtures,
-        input.provenance.seed,
-    )?;
-    let observed = calibrate(input.model, &cases);
-    let inputs = input_scales(&observed, format, fraction_bits);
-    let mut result =
-        QuantizedLayers { shapes: Vec::new(), tensors: Vec::new(), accumulator_use: Vec::new() };
-    let mut time_half = Vec::new();
-    // The time half first: the code half is requantised to its accumulators.
-    for index in (0..layers.len()).rev() {
-        let means = index
-            .checked_sub(TIME_LAYER + 1)
-            .map_or(&[][..], |above| observed[above].mean.as_slice());
-        let quantized = quantize_layer(&layers[index], inputs[index], means);
-        let factors: Vec<f64> = match index {
-            CODE_LAYER => quantized
-                .accumulator_scales
-                .iter()
-                .zip(&time_half)
-                .map(|(scale, time)| scale / time)
-                .collect(),
-            // Pre-activations (for ELU) and channels are both Q15.16.
-            _ => quantized.accumulator_scales.iter().map(|scale| scale * 65_536.0).collect(),
-        };
-        if index == TIME_LAYER {
-            time_half.clone_from(&quantized.accumulator_scales);
-        }
-        let next = if index == CODE_LAYER { None } else { inputs.get(index + 1) };
-        result.shapes.insert(
-            0,
-            shape_of(&layers[index], next.map_or_else(Default::default, stored_activation)),
-        );
-        result
-            .accumulator_use
-            .insert(0, quantized.accumulator_use.iter().copied().fold(0.0, f64::max));
-        result.tensors.extend(layer_tensors(index, &quantized, &factors));
-    }
-    Ok(result)
-}
-
-/// How the inputs of every layer are stored.
-fn input_scales(observed: &[Observed], format: NumberFormat, fraction_bits: u8) -> Vec<InputScale> {
-    let code = InputScale {
-        scale: 2f64.powi(-i32::from(fraction_bits)),
-        zero_point: 0,
-        magnitude_max: 1 << 15,
-    };
-    let one = i64::from(format.sinusoid_one());
-    let time = InputScale { scale: 1.0 / one as f64, zero_point: 0, magnitude_max: one };
-    let hidden =
-        observed.iter().map(|observed| activation_scale(observed, format.activation_range()));
-    [code, time].into_iter().chain(hidden).collect()
-}
-
-fn stored_activation(next: &InputScale) -> ActivationScale {
-    let (multiplier, shift) = requantizer_of(1.0 / (65_536.0 * next.scale)).parts();
-    ActivationScale { multiplier, shift, zero_point: next.zero_point }
-}
-
-fn layer_tensors(
-    index: usize,
-    layer: &IntegerLayer,
-    factors: &[f64],
-) -> Vec<(TensorKind, Vec<u8>)> {
-    let parts: Vec<(i32, i8)> =
-        factors.iter().map(|&factor| requantizer_of(factor).parts()).collect();
-    let mut tensors = vec![
-        (
-            TensorKind::Weights(index),
-            layer.weights.iter().map(|weight| weight.cast_unsigned()).collect(),
-        ),
-        (
-            TensorKind::Multipliers(index),
-            parts.iter().flat_map(|part| part.0.to_le_bytes()).collect(),
-        ),
-        (TensorKind::Shifts(index), parts.iter().map(|part| part.1.cast_unsigned()).collect()),
-    ];
-    if index != TIME_LAYER {
-        tensors.push((
-            TensorKind::Bias(index),
-            layer.bias.iter().flat_map(|bias| bias.to_le_bytes()).collect(),
-        ));
-    }
-    tensors
 }
 
 fn frequency_bytes(frequencies_rad: &[f64]) -> Vec<u8> {
@@ -332,14 +245,18 @@ fn emit(
         + joints.iter().map(|joint| joint.name.len() + 32).sum::<usize>();
     let space: usize = tensors.iter().map(|(_, bytes)| bytes.len() + 16).sum();
     let mut blob = vec![0; space + names + manifest.name.len() + 4096];
-    let refuse = |reason: karakuri::BlobError| Error::Blob {
-        path: manifest.name.into(),
-        reason: reason.to_string(),
-    };
-    let length = parts.emit(&mut blob).map_err(refuse)?;
+    let length = parts.emit(&mut blob).map_err(|reason| refused(manifest.name, reason))?;
     blob.truncate(length);
-    Model::from_bytes(&blob).map_err(refuse)?;
+    load(manifest.name, &blob)?;
     Ok(blob)
+}
+
+fn load<'a>(name: &str, blob: &'a [u8]) -> Result<Model<'a>> {
+    Model::from_bytes(blob).map_err(|reason| refused(name, reason))
+}
+
+fn refused(name: &str, reason: karakuri::BlobError) -> Error {
+    Error::Blob { path: name.into(), reason: reason.to_string() }
 }
 
 fn joints_of(skeleton: &crate::body::skeleton::Skeleton) -> impl Iterator<Item = Joint<'_>> {

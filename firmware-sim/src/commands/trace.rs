@@ -240,6 +240,6 @@ mod tests {
 write, 1.2 s, seed 7: 60 commands at 50 Hz, at most 6000 us/s
 
 servo  min us  max us    max us/s  range-limited  speed-limited
-neck      500    2500        6000         39.0 %         22.0 %
+neck      500    2500        6000         39.0 %         20.3 %
 ";
 }

@@ -6,7 +6,6 @@ use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 use karakuri::NumberFormat;
-use karakuri::manifest::SamplerKind;
 
 use serde_json::Value;
 
@@ -23,6 +22,7 @@ use crate::generate::{Request, generate_blob};
 use crate::inspect::blob::{BlobReport, load};
 use crate::mixture;
 use crate::picture;
+use crate::quantize::QuantizeOptions;
 use crate::reconstruct::{Source, reconstruct};
 use crate::stdout::print;
 use crate::table::{Table, thousands};
@@ -93,8 +93,7 @@ pub fn run(args: &DemoArgs) -> Result<()> {
             character::NAME,
             &checkpoint,
             &mixtures,
-            format,
-            SamplerKind::ClipCodes,
+            &QuantizeOptions::new(format),
         )?;
         atomic_file::write(&path, &quantized.blob, Overwrite::Replace)?;
         let model = load(&path, &quantized.blob)?;

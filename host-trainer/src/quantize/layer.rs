@@ -6,8 +6,6 @@
 //! Source: Jacob et al., CVPR 2018, for scales and zero points; Nagel et al., ICCV 2019, section 4.2, for the bias
 //! correction (here from calibrated means).
 
-use karakuri::Requantizer;
-
 use crate::float_model::DenseLayer;
 use crate::quantize::calibrate::Observed;
 
@@ -35,14 +33,21 @@ pub struct IntegerLayer {
     pub accumulator_use: Vec<f64>,
 }
 
-/// Quantises every row; `input_mean` (may be empty) corrects the bias for the rounding of the weights.
-pub fn quantize_layer(layer: &DenseLayer, input: InputScale, input_mean: &[f32]) -> IntegerLayer {
+/// Quantises every row; `input_mean` (may be empty) corrects the bias for the rounding of the weights, and a product of
+/// a weight and an input counts `product_unit` accumulators (256 where the kernel adds products so).
+pub fn quantize_layer(
+    layer: &DenseLayer,
+    input: InputScale,
+    input_mean: &[f32],
+    product_unit: i64,
+) -> IntegerLayer {
     let mut result = IntegerLayer::default();
     for (weights, &bias) in layer.weights.chunks_exact(layer.input_count).zip(&layer.bias) {
-        let row = quantize_row(weights, f64::from(bias), input, input_mean);
+        let row = FloatRow { weights, bias: f64::from(bias), input, input_mean, product_unit };
+        let row = row.quantize();
         result.weights.extend(row.weights);
         result.bias.push(row.bias);
-        result.accumulator_scales.push(row.scale * input.scale);
+        result.accumulator_scales.push(row.scale * input.scale / product_unit as f64);
         result.accumulator_use.push(row.accumulator_max as f64 / 2f64.powi(31));
     }
     result
@@ -55,70 +60,49 @@ struct Row {
     accumulator_max: i64,
 }
 
-/// The finest scale at which the certificate Σ|w|·max|q| + |bias| < 2^31 holds.
-fn quantize_row(weights: &[f32], bias: f64, input: InputScale, input_mean: &[f32]) -> Row {
-    let largest =
-        weights.iter().fold(0.0f64, |largest, &weight| largest.max(f64::from(weight).abs()));
-    // An all-zero row still needs a scale at which its bias fits.
-    let mut scale = (largest / 127.0)
-        .max(bias.abs() / (input.scale * 2f64.powi(30)))
-        .max(f64::MIN_POSITIVE * 1e20);
-    loop {
-        let row = quantize_row_at(weights, bias, input, input_mean, scale);
-        if let Some(row) = row {
-            return row;
-        }
-        scale *= 1.02;
-    }
-}
-
-fn quantize_row_at(
-    weights: &[f32],
+struct FloatRow<'a> {
+    weights: &'a [f32],
     bias: f64,
     input: InputScale,
-    input_mean: &[f32],
-    scale: f64,
-) -> Option<Row> {
-    let stored: Vec<i8> = weights
-        .iter()
-        .map(|&weight| (f64::from(weight) / scale).round().clamp(-127.0, 127.0) as i8)
-        .collect();
-    let lost = weights.iter().zip(&stored).zip(input_mean);
-    let correction: f64 = lost
-        .map(|((&weight, &stored), &mean)| {
-            (f64::from(weight) - f64::from(stored) * scale) * f64::from(mean)
-        })
-        .sum();
-    let sum: i64 = stored.iter().map(|&weight| i64::from(weight)).sum();
-    let magnitude: i64 = stored.iter().map(|&weight| i64::from(weight).abs()).sum();
-    let real_bias = ((bias + correction) / (scale * input.scale)).round();
-    let bias = real_bias as i64 - i64::from(input.zero_point) * sum;
-    let accumulator_max = magnitude * input.magnitude_max + bias.abs();
-    let fits = real_bias.abs() < 2f64.powi(31) && accumulator_max <= i64::from(i32::MAX);
-    fits.then_some(Row { weights: stored, bias: bias as i32, scale, accumulator_max })
+    input_mean: &'a [f32],
+    product_unit: i64,
 }
 
-/// The stored form of a real factor: the nearest multiplier and shift.
-///
-/// Factors below 2^-32 become 0; factors of 2^30 and more saturate (no scale of a trained model is near them).
-pub fn requantizer_of(factor: f64) -> Requantizer {
-    if !factor.is_finite() || factor <= 0.0 {
-        return Requantizer::ZERO;
+impl FloatRow<'_> {
+    /// At the finest scale at which the certificate Σ|w|·max|q|·unit + |bias| < 2^31 holds.
+    fn quantize(&self) -> Row {
+        let magnitudes = self.weights.iter().map(|&weight| f64::from(weight).abs());
+        let largest = magnitudes.fold(0.0, f64::max);
+        // An all-zero row still needs a scale at which its bias fits.
+        let mut scale = (largest / 127.0)
+            .max(self.bias.abs() * self.product_unit as f64 / (self.input.scale * 2f64.powi(30)))
+            .max(f64::MIN_POSITIVE * 1e20);
+        loop {
+            if let Some(row) = self.quantize_at(scale) {
+                return row;
+            }
+            scale *= 1.02;
+        }
     }
-    let mut shift = factor.log2().floor() as i32 + 1;
-    let mut multiplier = (factor / 2f64.powi(shift) * 2f64.powi(31)).round();
-    if multiplier >= 2f64.powi(31) {
-        multiplier /= 2.0;
-        shift += 1;
+
+    fn quantize_at(&self, scale: f64) -> Option<Row> {
+        let round = |&weight: &f32| (f64::from(weight) / scale).round().clamp(-127.0, 127.0) as i8;
+        let weights: Vec<i8> = self.weights.iter().map(round).collect();
+        let lost = self.weights.iter().zip(&weights).zip(self.input_mean);
+        let correction: f64 = lost
+            .map(|((&weight, &stored), &mean)| {
+                (f64::from(weight) - f64::from(stored) * scale) * f64::from(mean)
+            })
+            .sum();
+        let sum: i64 = weights.iter().map(|&weight| i64::from(weight)).sum();
+        let magnitude: i64 = weights.iter().map(|&weight| i64::from(weight).abs()).sum();
+        let accumulator_scale = scale * self.input.scale / self.product_unit as f64;
+        let real_bias = ((self.bias + correction) / accumulator_scale).round();
+        let bias = real_bias as i64 - i64::from(self.input.zero_point) * sum * self.product_unit;
+        let accumulator_max = magnitude * self.input.magnitude_max * self.product_unit + bias.abs();
+        let fits = real_bias.abs() < 2f64.powi(31) && accumulator_max <= i64::from(i32::MAX);
+        fits.then_some(Row { weights, bias: bias as i32, scale, accumulator_max })
     }
-    if shift < i32::from(Requantizer::SHIFT_MIN) {
-        multiplier = (multiplier / 2f64.powi(i32::from(Requantizer::SHIFT_MIN) - shift)).round();
-        shift = i32::from(Requantizer::SHIFT_MIN);
-    }
-    if shift > i32::from(Requantizer::SHIFT_MAX) {
-        (multiplier, shift) = (f64::from(i32::MAX), i32::from(Requantizer::SHIFT_MAX));
-    }
-    Requantizer::new(multiplier as i32, shift as i8).unwrap_or(Requantizer::ZERO)
 }
 
 /// The scale at which the stored activations of a layer fit `range`.
@@ -173,7 +157,7 @@ mod tests {
             bias: vec![-1.25],
         };
         let input = InputScale { scale: 1e-4, zero_point: 7, magnitude_max: 32_767 };
-        let quantized = quantize_layer(&layer, input, &[]);
+        let quantized = quantize_layer(&layer, input, &[], 1);
         let real = f64::from(quantized.bias[0]) * quantized.accumulator_scales[0];
         assert!((real + 1.25).abs() < 1e-6, "{real}");
     }
@@ -187,27 +171,19 @@ mod tests {
             bias: vec![0.0],
         };
         let input = InputScale { scale: 1.0, zero_point: 0, magnitude_max: 32_768 };
-        let quantized = quantize_layer(&layer, input, &[]);
+        let quantized = quantize_layer(&layer, input, &[], 1);
         assert!(quantized.accumulator_use[0] < 1.0);
         assert!(quantized.weights[0] < 127 && quantized.weights[0] > 0);
     }
 
     proptest! {
         #[test]
-        fn requantizer_is_within_a_billionth_of_the_factor(exponent in -20.0f64..28.0) {
-            let factor = 2f64.powf(exponent);
-            let (multiplier, shift) = requantizer_of(factor).parts();
-            let stored = f64::from(multiplier) / 2f64.powi(31) * 2f64.powi(i32::from(shift));
-            prop_assert!((stored / factor - 1.0).abs() < 1e-9);
-        }
-
-        #[test]
         fn every_row_carries_its_certificate(
             weights in prop::collection::vec(-3.0f32..3.0, 1..300), bias in -100.0f32..100.0, zero_point in -128i16..128
         ) {
             let input = InputScale { scale: 0.01, zero_point, magnitude_max: 32_767 };
             let layer = DenseLayer { input_count: weights.len(), output_count: 1, weights, bias: vec![bias] };
-            let row = quantize_layer(&layer, input, &[]);
+            let row = quantize_layer(&layer, input, &[], 1);
             let magnitude: i64 = row.weights.iter().map(|&weight| i64::from(weight).abs()).sum();
             prop_assert!(magnitude * 32_767 + i64::from(row.bias[0]).abs() < 1 << 31);
         }
