@@ -182,29 +182,41 @@ fn interval(
 #[cfg(test)]
 mod tests {
     use std::path::Path;
+    use std::string::String;
     use std::{env, format, fs};
 
     use super::*;
+
+    fn seeds() -> Vec<(String, Vec<u8>)> {
+        let (clips, mixture) = (SamplerKind::ClipCodes, SamplerKind::DiagonalMixture);
+        let mut seeds = Vec::new();
+        for format in NumberFormat::ALL {
+            let name = format.name();
+            seeds.push((format!("{name}-clips"), specimen(format, clips)));
+            seeds.push((format!("{name}-mixture"), specimen(format, mixture)));
+        }
+        for format in [NumberFormat::W8A16, NumberFormat::W8A8, NumberFormat::W4A8] {
+            let name = format.name();
+            let rows = [vec![1; 8], vec![-1; 8], vec![i16::MAX; 8]];
+            seeds.push((format!("{name}-rows"), specimen_packed(format, clips, Packing::Rows)));
+            seeds.push((format!("{name}-table"), specimen_with_time_table(format, &rows, 3)));
+        }
+        seeds
+    }
 
     /// Fuzzing starts from specimens; after a change of the format, `UPDATE_GOLDEN=1 cargo test -p karakuri` writes
     /// them anew.
     #[test]
     #[cfg(not(miri))] // Miri is shut off from files.
     fn seeds_of_the_fuzzers_are_the_specimens() {
-        for format in NumberFormat::ALL {
-            for (kind, name) in
-                [(SamplerKind::ClipCodes, "clips"), (SamplerKind::DiagonalMixture, "mixture")]
-            {
-                let blob = specimen(format, kind);
-                let path = Path::new(env!("CARGO_MANIFEST_DIR"))
-                    .join("fuzz/seeds")
-                    .join(format!("{}-{name}.kara", format.name()));
-                if env::var_os("UPDATE_GOLDEN").is_some() {
-                    fs::write(&path, &blob).unwrap();
-                }
-                let remedy = "run UPDATE_GOLDEN=1 cargo test -p karakuri";
-                assert!(fs::read(&path).unwrap() == blob, "{}: {remedy}", path.display());
+        for (name, blob) in seeds() {
+            let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/seeds");
+            let path = folder.join(format!("{name}.kara"));
+            if env::var_os("UPDATE_GOLDEN").is_some() {
+                fs::write(&path, &blob).unwrap();
             }
+            let remedy = "run UPDATE_GOLDEN=1 cargo test -p karakuri";
+            assert!(fs::read(&path).unwrap() == blob, "{}: {remedy}", path.display());
         }
     }
 }

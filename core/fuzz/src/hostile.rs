@@ -7,7 +7,10 @@
 //! compile this file. Only public names are used: a new number format needs new seeds, not new code.
 
 use karakuri::limits::WIDTH_MAX;
-use karakuri::{ActionId, BlobError, Code, Decoder, FramePosition, Model, Pcg32, Pose, Workspace};
+use karakuri::{
+    ActionId, BlobError, Code, Decoder, FramePosition, Model, PairDecoder, PairWorkspace, Pcg32,
+    Pose, Workspace,
+};
 
 /// Where the header keeps the blob's length and its checksum (`core/src/blob.rs`).
 const LENGTH_FIELD: core::ops::Range<usize> = 8..12;
@@ -81,14 +84,20 @@ fn use_everything(model: &Model<'_>) {
     }
     let _ = (model.multiply_accumulates_per_motion(), model.multiply_accumulates_per_pose());
     if model.workspace_width() <= WIDTH_SMALL {
-        play(model, &mut Workspace::<WIDTH_SMALL>::new());
+        play(model, &mut Workspace::<WIDTH_SMALL>::new(), &mut PairWorkspace::new());
     } else {
-        play(model, &mut Box::<Workspace<WIDTH_MAX>>::default());
+        play(model, &mut Box::<Workspace<WIDTH_MAX>>::default(), &mut Box::default());
     }
 }
 
-fn play<const WIDTH: usize>(model: &Model<'_>, workspace: &mut Workspace<WIDTH>) {
+fn play<const WIDTH: usize>(
+    model: &Model<'_>,
+    workspace: &mut Workspace<WIDTH>,
+    pair_workspace: &mut PairWorkspace<WIDTH>,
+) {
     let mut decoder = Decoder::new(model, workspace).expect("a model that loads can be decoded");
+    // Only some packings have kernels for two frames.
+    let mut pair_decoder = PairDecoder::new(model, pair_workspace).ok();
     let mut random = Pcg32::new(1);
     for action in (0..model.manifest().action_count).map(ActionId) {
         let trained = model.trained_frames(action);
@@ -97,22 +106,42 @@ fn play<const WIDTH: usize>(model: &Model<'_>, workspace: &mut Workspace<WIDTH>)
             let drawn = model.sample(action, frames, &mut || random.next_u32());
             let code = drawn.expect("the ends of the trained lengths are trained lengths");
             assert_eq!(code.values().len(), model.code_count());
-            decode(model, &mut decoder, &code, frames);
+            let pose = decode(model, &mut decoder, &code, frames);
+            if let Some(pair_decoder) = &mut pair_decoder {
+                assert_eq!(pose, decode_pair(pair_decoder, &code, frames));
+            }
         }
         // Any length may be asked for; most are refused.
         let _ = model.sample(action, random.next_u32() & 0xFFFF, &mut || random.next_u32());
     }
     let values: Vec<f32> = core::iter::repeat_n(1e9, model.code_count() + 1).collect();
-    decode(model, &mut decoder, &model.code_from_f32(&values), u32::MAX);
+    decode(model, &mut decoder, &model.code_from_f32(&values), 1);
 }
 
 /// Decodes a motion out of order; the same position must give the same pose whatever was decoded in between.
-fn decode(model: &Model<'_>, decoder: &mut Decoder<'_, '_>, code: &Code, frames: u32) {
+fn decode(model: &Model<'_>, decoder: &mut Decoder<'_, '_>, code: &Code, frames: u32) -> Pose {
     decoder.start(code);
     let (mut first, mut pose) = (Pose::new(), Pose::new());
-    decoder.decode(FramePosition::from_bits(frames << 15), &mut first);
+    decoder.decode(middle(frames), &mut first);
     assert_eq!(first.channels().len(), model.channel_count());
-    decoder.decode(FramePosition::from_bits(u32::MAX), &mut pose);
-    decoder.decode(FramePosition::from_bits(frames << 15), &mut pose);
+    for position in
+        [FramePosition::from_frames(1), FramePosition::from_bits(u32::MAX), middle(frames)]
+    {
+        decoder.decode(position, &mut pose);
+    }
     assert_eq!(first, pose);
+    pose
+}
+
+/// The pose that a decoder of pairs finds in the middle of a motion, as the second of two.
+fn decode_pair(decoder: &mut PairDecoder<'_, '_>, code: &Code, frames: u32) -> Pose {
+    decoder.start(code);
+    let mut poses = [Pose::new(), Pose::new()];
+    decoder.decode([FramePosition::from_frames(0), middle(frames)], &mut poses);
+    let [_, pose] = poses;
+    pose
+}
+
+fn middle(frames: u32) -> FramePosition {
+    FramePosition::from_bits(frames << 15)
 }
