@@ -11,7 +11,7 @@
 
 use crate::code::{Code, interpolate};
 use crate::error::{BlobError, SampleError};
-use crate::little_endian::{i8s, i16s, i32s, u16s};
+use crate::little_endian::{i8s, i16s, i32s};
 use crate::manifest::{INTERVAL_BYTES, MEMBER_BYTES, Manifest, SamplerKind, TensorKind};
 use crate::model::ActionId;
 use crate::random::{below, gaussian_q12};
@@ -48,13 +48,16 @@ struct Interval {
 }
 
 impl Interval {
-    fn parse(record: &[u8]) -> Option<Self> {
-        let mut halves = u16s(record.get(..8)?);
-        let (action, frames_min) = (halves.next()?, halves.next()?);
-        let (frames_max, spread) = (halves.next()?, halves.next()?);
-        let mut words = i32s(record.get(8..)?).map(i32::cast_unsigned);
-        let (member_first, member_count) = (words.next()?, words.next()?);
-        Some(Self { action, frames_min, frames_max, spread, member_first, member_count })
+    fn parse(record: &[u8; INTERVAL_BYTES]) -> Self {
+        let [a, b, c, d, e, f, g, h, first @ .., i, j, k, l] = *record;
+        Self {
+            action: u16::from_le_bytes([a, b]),
+            frames_min: u16::from_le_bytes([c, d]),
+            frames_max: u16::from_le_bytes([e, f]),
+            spread: u16::from_le_bytes([g, h]),
+            member_first: u32::from_le_bytes(first),
+            member_count: u32::from_le_bytes([i, j, k, l]),
+        }
     }
 
     fn contains(&self, frames: u32) -> bool {
@@ -218,21 +221,20 @@ impl<'a> Sampler<'a> {
     /// (component, cumulative weight)
     fn member(&self, interval: &Interval, member: u32) -> Option<(u16, u16)> {
         let index = (interval.member_first + member) as usize;
-        parse_member(self.members.get(index * MEMBER_BYTES..)?.get(..MEMBER_BYTES)?)
+        self.members.as_chunks().0.get(index).map(parse_member)
     }
 
     fn members(&self) -> impl Iterator<Item = (u16, u16)> + use<'a> {
-        self.members.chunks_exact(MEMBER_BYTES).filter_map(parse_member)
+        self.members.as_chunks::<MEMBER_BYTES>().0.iter().map(parse_member)
     }
 
     fn intervals(&self) -> impl Iterator<Item = Interval> + use<'a> {
-        self.intervals.chunks_exact(INTERVAL_BYTES).filter_map(Interval::parse)
+        self.intervals.as_chunks().0.iter().map(Interval::parse)
     }
 }
 
-fn parse_member(record: &[u8]) -> Option<(u16, u16)> {
-    let mut halves = u16s(record);
-    Some((halves.next()?, halves.next()?))
+fn parse_member(&[a, b, c, d]: &[u8; MEMBER_BYTES]) -> (u16, u16) {
+    (u16::from_le_bytes([a, b]), u16::from_le_bytes([c, d]))
 }
 
 /// `value + σ · N(0, 1)`, with σ in code units · 2^8.
