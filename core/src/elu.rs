@@ -93,7 +93,7 @@ impl Elu {
         } else {
             -self.fall(x.unsigned_abs())
         };
-        value.wrapping_add(self.zero_point()).clamp(self.range.0, self.range.1)
+        value.wrapping_add(self.zero_point()).max(self.range.0).min(self.range.1)
     }
 
     /// `1 − e^−magnitude` in stored units.
