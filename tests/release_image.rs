@@ -9,12 +9,13 @@
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 use std::sync::{Mutex, PoisonError};
 
 use firmware_sim::Target;
 use firmware_sim::toolchain::Toolchain;
 use object::{Object, ObjectSection, ObjectSymbol};
-use tests::{golden_path, repository, skip};
+use tests::{repository, skip};
 
 /// Parts of names, as the compiler mangles them, that stand for the end of a program.
 const PANICS: [&str; 6] =
@@ -24,21 +25,27 @@ const HEAP: [&str; 4] = ["__rust_alloc", "__rust_realloc", "malloc", "5alloc"];
 /// Beginnings of the Arm run-time's names for soft floats; `compiler_builtins` and `libm` are where Rust keeps them.
 const FLOATS: [&str; 5] = ["__aeabi_f", "__aeabi_d", "__aeabi_cf", "__aeabi_cd", "__aeabi_h2f"];
 
+/// Bytes of code and constants of an integer image, the blob left out.
+const CODE_BYTES_MAX: u64 = 12 * 1024;
+
 /// What of `minimal` is built, and how.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Debug)]
 struct Build {
     target: Target,
     optimisation: &'static str,
-    features: &'static str,
+    /// Feature and seed of this name.
+    format: &'static str,
 }
 
-const INTEGER: [Build; 4] = [
-    Build { target: Target::CortexM0Plus, optimisation: "3", features: "" },
-    Build { target: Target::CortexM0Plus, optimisation: "'s'", features: "" },
-    Build { target: Target::CortexM4, optimisation: "3", features: "" },
-    Build { target: Target::CortexM4, optimisation: "'s'", features: "" },
+/// One number format an image, as a product has it; every level with at least two formats and both targets.
+const INTEGER: [Build; 5] = [
+    Build { target: Target::CortexM0Plus, optimisation: "3", format: "w8a8" },
+    Build { target: Target::CortexM0Plus, optimisation: "'s'", format: "w4a8" },
+    Build { target: Target::CortexM4, optimisation: "3", format: "w8a16" },
+    Build { target: Target::CortexM4, optimisation: "3", format: "w4a8" },
+    Build { target: Target::CortexM4, optimisation: "'s'", format: "w8a8" },
 ];
-const F16: Build = Build { target: Target::CortexM4, optimisation: "3", features: "f16" };
+const F16: Build = Build { target: Target::CortexM4, optimisation: "3", format: "f16" };
 
 /// A linked program.
 struct Image {
@@ -49,7 +56,7 @@ struct Image {
 
 impl Image {
     /// `None`, said aloud, where no compiler for the target is installed.
-    fn of(build: Build) -> Option<Self> {
+    fn of(build: Build, more_features: &str) -> Option<Self> {
         // One at a time: the builds of a target replace each other's output.
         static CARGO: Mutex<()> = Mutex::new(());
         let _turn = CARGO.lock().unwrap_or_else(PoisonError::into_inner);
@@ -61,9 +68,9 @@ impl Image {
                 return None;
             }
         };
-        let format = if build.features.contains("f16") { "f16" } else { "w8a16" };
-        let blob = golden_path(&format!("creature-tiny-{format}.kara"));
-        let elf = link(&toolchain, build, &source, &blob);
+        let blob = repository().join(format!("core/fuzz/seeds/{}-clips.kara", build.format));
+        let features = format!("{} {more_features}", build.format);
+        let elf = link(toolchain.build_command(), build, &features, &blob);
         let bytes = fs::read(elf).expect("the program that was just linked");
         let blob_bytes = fs::metadata(blob).expect("a committed blob").len();
         Some(Self::read(&bytes, blob_bytes))
@@ -117,21 +124,20 @@ fn is_soft_float(name: &str) -> bool {
 }
 
 /// Builds `minimal` and returns its path.
-fn link(toolchain: &Toolchain, build: Build, source: &Path, blob: &Path) -> PathBuf {
+fn link(mut cargo: Command, build: Build, features: &str, blob: &Path) -> PathBuf {
     let folder = repository().join("target/firmware/image").join(build.target.name());
     let width = karakuri::Model::from_bytes(&fs::read(blob).expect("a committed blob"))
         .map(|model| model.workspace_width())
         .expect("a blob that loads");
-    let output = toolchain
-        .build_command()
-        .args(["--bin", "minimal", "--features", build.features])
+    let output = cargo
+        .args(["--bin", "minimal", "--no-default-features", "--features", features])
         .args(["--config", &format!("profile.release.opt-level={}", build.optimisation)])
         .arg("--target-dir")
         .arg(&folder)
         .env("KARAKURI_BLOB", blob)
         .env("KARAKURI_WIDTH", width.to_string())
         .env("KARAKURI_MEMORY", build.target.memory_map())
-        .current_dir(source)
+        .current_dir(repository().join("firmware-sim/cortex-m"))
         .output()
         .expect("cargo starts");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
@@ -141,8 +147,7 @@ fn link(toolchain: &Toolchain, build: Build, source: &Path, blob: &Path) -> Path
 /// A test that cannot fail proves nothing: `forbidden` adds a slice index, a float and nothing else.
 #[test]
 fn image_with_a_deliberate_panic_and_a_float_is_found_out() {
-    let build = Build { features: "forbidden", ..INTEGER[0] };
-    let Some(image) = Image::of(build) else { return };
+    let Some(image) = Image::of(INTEGER[0], "forbidden") else { return };
     let panics = image.panics();
     for part in ["rust_begin_unwind", "panic_fmt"] {
         assert!(panics.iter().any(|name| name.contains(part)), "{part} is not in {panics:?}");
@@ -167,32 +172,27 @@ fn names_of_soft_floats_are_told_from_those_of_integers() {
 #[test]
 fn no_image_of_a_product_can_panic() {
     for build in INTEGER.into_iter().chain([F16]) {
-        let Some(image) = Image::of(build) else { return };
+        let Some(image) = Image::of(build, "") else { return };
         let panics = image.panics();
-        let name = build.target.name();
-        assert!(panics.is_empty(), "{name}, opt-level {}: {panics:#?}", build.optimisation);
+        assert!(panics.is_empty(), "{build:?}: {panics:#?}");
     }
 }
 
 #[test]
 fn integer_images_call_no_float_routine_and_no_allocator() {
     for build in INTEGER {
-        let Some(image) = Image::of(build) else { return };
-        let (name, level) = (build.target.name(), build.optimisation);
-        println!("{name}, opt-level {level}: run-time routines {:?}", image.runtime());
-        assert_eq!(image.floats(), [""; 0], "{name}, opt-level {level}");
-        assert_eq!(image.heap(), [""; 0], "{name}, opt-level {level}");
+        let Some(image) = Image::of(build, "") else { return };
+        println!("{build:?}: run-time routines {:?}", image.runtime());
+        assert_eq!(image.floats(), [""; 0], "{build:?}");
+        assert_eq!(image.heap(), [""; 0], "{build:?}");
     }
 }
 
 #[test]
 fn code_of_an_integer_image_stays_small() {
-    /// Bytes of code and constants, the blob left out.
-    const CODE_BYTES_MAX: u64 = 12 * 1024;
     for build in INTEGER {
-        let Some(image) = Image::of(build) else { return };
-        let (name, level, bytes) = (build.target.name(), build.optimisation, image.code_bytes);
-        println!("{name}, opt-level {level}: {bytes} bytes");
-        assert!(bytes <= CODE_BYTES_MAX, "{name}, opt-level {level}: {bytes} bytes");
+        let Some(image) = Image::of(build, "") else { return };
+        println!("{build:?}: {} bytes", image.code_bytes);
+        assert!(image.code_bytes <= CODE_BYTES_MAX, "{build:?}: {} bytes", image.code_bytes);
     }
 }
