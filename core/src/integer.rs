@@ -12,7 +12,7 @@ use crate::little_endian::{i16s, u32s};
 use crate::manifest::TIME_LAYER;
 use crate::model::Model;
 use crate::pose::Pose;
-use crate::time_embedding::{FramePosition, sinusoids};
+use crate::time_embedding::{FramePosition, stored_sinusoids};
 use crate::workspace::Buffers;
 
 /// `folded = weights · code + bias`, in accumulators of the time half.
@@ -181,16 +181,15 @@ fn embed<const FRAMES: usize>(
     positions: [FramePosition; FRAMES],
     output: &mut [[Quad; FRAMES]],
 ) {
-    let one = i32::from(model.number_format().sinusoid_one());
-    // Exact for one = 32,767 up to the rounding of (q15 · 32767 + 2^14) / 2^15 back to q15.
-    let stored = |q15: i32| if one == 32_767 { q15 } else { (q15 * one + (1 << 14)) >> 15 };
+    let format = model.number_format();
     let quads = time_half.shape.columns_filled() / 4;
     for (frame, position) in positions.into_iter().enumerate() {
         let mut steps = u32s(model.frequencies);
         for index in 0..quads {
-            let [sine_a, cosine_a] = steps.next().map_or([0; 2], |step| sinusoids(position, step));
-            let [sine_b, cosine_b] = steps.next().map_or([0; 2], |step| sinusoids(position, step));
-            let values = [sine_a, cosine_a, sine_b, cosine_b].map(stored);
+            let mut pair =
+                || steps.next().map_or([0; 2], |step| stored_sinusoids(format, position, step));
+            let ([sine_a, cosine_a], [sine_b, cosine_b]) = (pair(), pair());
+            let values = [sine_a, cosine_a, sine_b, cosine_b];
             store_frame(time_half.order, output, index, frame, values);
         }
     }

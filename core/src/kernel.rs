@@ -14,6 +14,16 @@
 //! All sums wrap; the loader has proved for every row that its final sum fits.
 
 pub mod portable;
+#[cfg(any(karakuri_kernel = "armv6m", karakuri_kernel = "armv7m", karakuri_vfp))]
+mod assembly;
+#[cfg(karakuri_kernel = "armv6m")]
+mod armv6m;
+#[cfg(karakuri_kernel = "armv7m")]
+mod armv7m;
+#[cfg(karakuri_kernel = "dsp")]
+mod dsp;
+#[cfg(karakuri_vfp)]
+mod vfp;
 
 /// Four activations; see the module for the order.
 pub type Quad = [u32; 2];
@@ -49,4 +59,16 @@ pub const ALIGNMENT: usize = if TAKES_ROWS { 1 } else { 4 };
 #[cfg(karakuri_rows)]
 pub mod rows;
 
-pub use portable::{f16, w4a8, w8a8, w8a8_pair, w8a16, w8a16_pair};
+#[cfg(karakuri_kernel = "armv6m")]
+pub use armv6m::{w4a8, w8a8, w8a8_pair, w8a16, w8a16_pair};
+#[cfg(karakuri_kernel = "armv7m")]
+pub use armv7m::{w4a8, w8a8, w8a8_pair, w8a16, w8a16_pair};
+#[cfg(karakuri_kernel = "dsp")]
+pub use dsp::{w4a8, w8a8, w8a8_pair, w8a16, w8a16_pair};
+#[cfg(any(karakuri_kernel = "portable", karakuri_kernel = "vector"))]
+pub use portable::{w4a8, w8a8, w8a8_pair, w8a16, w8a16_pair};
+
+#[cfg(not(karakuri_vfp))]
+pub use portable::f16;
+#[cfg(karakuri_vfp)]
+pub use vfp::f16;

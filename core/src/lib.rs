@@ -36,9 +36,13 @@ mod half_float;
 mod decoder;
 mod pair_decoder;
 mod pose;
-#[cfg(feature = "angles")]
-pub mod angles;
+mod unit_vector;
+mod arc_tangent;
+mod rotation;
+mod servo_map;
 mod servo;
+#[cfg(test)]
+mod deviation;
 #[cfg(test)]
 mod specimen;
 
@@ -54,6 +58,8 @@ pub use pose::Pose;
 pub use pose_layout::{GroupKind, Unit};
 pub use random::Pcg32;
 pub use requantize::Requantizer;
-pub use servo::{ServoCommand, ServoMap, ServoStage};
-pub use time_embedding::FramePosition;
+pub use rotation::{Axis, AxisOrder, Rotation};
+pub use servo::{ServoCommand, ServoStage};
+pub use servo_map::ServoMap;
+pub use time_embedding::{FramePosition, stored_sinusoids};
 pub use workspace::{PairWorkspace, Workspace};

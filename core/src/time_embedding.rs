@@ -6,7 +6,8 @@
 //! Source: MotionINR's table [sin(w_0 t), cos(w_0 t), sin(w_1 t), …]; here t may be fractional, as the paper says
 //! and its code does not allow.
 
-use crate::sine::{QUARTER_TURN, sine_q15};
+use crate::manifest::NumberFormat;
+use crate::sine::sine_and_cosine_q15;
 
 /// A point in a motion, in frames from its start: Q16.16, so fractions of a frame are allowed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
@@ -44,17 +45,31 @@ impl FramePosition {
         if self.0 & 0xFFFF == 0 { Some(self.0 >> 16) } else { None }
     }
 
-    /// Phase of a sinusoid that advances by `step` per frame; a turn is 2^32.
+    /// Phase of a sinusoid that advances by `step` per frame; a turn is 2^32. Exact but for the
+    /// bits below it, which are cut off.
+    ///
+    /// The 48 bits that count of a product of 64, piece by piece: a Cortex-M0+ has no wide product.
     const fn phase(self, step: u32) -> u32 {
-        ((self.0 as u64 * step as u64) >> 16) as u32
+        let (frames, fraction_q16) = (self.0 >> 16, self.0 & 0xFFFF);
+        let whole = frames.wrapping_mul(step).wrapping_add(fraction_q16 * (step >> 16));
+        whole.wrapping_add((fraction_q16 * (step & 0xFFFF)) >> 16)
     }
+}
+
+/// `[sin, cos]` of the frequency that advances by `step` (turns · 2^32) per frame, as a format stores them:
+/// `NumberFormat::sinusoid_one` is 1, nearest, ties up.
+#[inline]
+pub fn stored_sinusoids(format: NumberFormat, position: FramePosition, step: u32) -> [i32; 2] {
+    let one = i32::from(format.sinusoid_one());
+    // Exact for one = 32,767 up to the rounding of (q15 · 32767 + 2^14) / 2^15 back to q15.
+    let stored = |q15: i32| if one == 32_767 { q15 } else { (q15 * one + (1 << 14)) >> 15 };
+    sinusoids(position, step).map(stored)
 }
 
 /// `[sin, cos]` of the frequency that advances by `step` (turns · 2^32) per frame, in Q0.15.
 #[inline]
 pub(crate) fn sinusoids(position: FramePosition, step: u32) -> [i32; 2] {
-    let phase = position.phase(step);
-    [phase, phase.wrapping_add(QUARTER_TURN)].map(|phase| i32::from(sine_q15(phase)))
+    sine_and_cosine_q15(position.phase(step))
 }
 
 #[cfg(test)]
@@ -71,6 +86,16 @@ mod tests {
                 let [sine, cosine] = output.map(|x| f64::from(x) / 32_767.0);
                 assert!((sine - libm::sin(angle)).abs() < 4e-5, "pair {pair} at {bits}");
                 assert!((cosine - libm::cos(angle)).abs() < 4e-5, "pair {pair} at {bits}");
+            }
+        }
+    }
+
+    #[test]
+    fn phase_is_the_wide_product() {
+        for bits in (0..u32::MAX).step_by(1_000_003) {
+            for step in [1, 0xFFFF, 0x1_0000, 683_565_276, u32::MAX] {
+                let wide = (u64::from(bits) * u64::from(step)) >> 16;
+                assert_eq!(FramePosition::from_bits(bits).phase(step), wide as u32);
             }
         }
     }

@@ -1,11 +1,11 @@
 //! Puts the blob, the cases and the board's memory map where the program and the linker look for them.
 //!
-//! In:  the environment: `KARAKURI_BLOB` and `KARAKURI_CASES`, paths (cases only for programs that include them);
+//! In:  the environment: `KARAKURI_BLOB` and `KARAKURI_CASES`, paths (only for programs that include them);
 //!      `KARAKURI_WIDTH`, the number of activations of the widest layer; `KARAKURI_MEMORY`, a file name in `memory/`
 //!      (default `mps2.x`).
 //! Out: `blob.rs`, `cases.rs` and `memory.x` in `OUT_DIR`.
 //!
-//! Why here: `firmware_sim::firmware` sets all four. Who builds by hand gets told what is missing.
+//! Why here: `firmware_sim::firmware` sets what a program needs. Who builds by hand gets told what is missing.
 
 use std::{env, fs, path::Path};
 
@@ -15,8 +15,10 @@ const REMEDY: &str = "run `firmware-sim run model.kara`, which builds this progr
 fn main() {
     let out_dir = variable("OUT_DIR");
     let out_dir = Path::new(&out_dir);
-    fs::write(out_dir.join("blob.rs"), blob()).expect("OUT_DIR can be written");
-    fs::write(out_dir.join("cases.rs"), cases()).expect("OUT_DIR can be written");
+    let blob = including("KARAKURI_BLOB", blob);
+    fs::write(out_dir.join("blob.rs"), blob).expect("OUT_DIR can be written");
+    let cases = including("KARAKURI_CASES", cases);
+    fs::write(out_dir.join("cases.rs"), cases).expect("OUT_DIR can be written");
 
     println!("cargo:rerun-if-env-changed=KARAKURI_MEMORY");
     let map = env::var("KARAKURI_MEMORY").unwrap_or_else(|_| "mps2.x".to_owned());
@@ -26,8 +28,16 @@ fn main() {
     println!("cargo:rustc-link-search={}", out_dir.display());
 }
 
-fn blob() -> String {
-    let path = input_path(&variable("KARAKURI_BLOB"));
+/// Rust text about the file in a variable; without it, an error for who builds a program that includes the text.
+fn including(name: &str, text: fn(&str) -> String) -> String {
+    println!("cargo:rerun-if-env-changed={name}");
+    match env::var(name) {
+        Ok(path) => text(&input_path(&path)),
+        Err(error) => format!("compile_error!(\"{name}: {error}; {REMEDY}\");\n"),
+    }
+}
+
+fn blob(path: &str) -> String {
     let width: usize = variable("KARAKURI_WIDTH").parse().expect("KARAKURI_WIDTH is a number");
     format!(
         "/// The blob under test.\n\
@@ -37,12 +47,7 @@ fn blob() -> String {
     )
 }
 
-fn cases() -> String {
-    println!("cargo:rerun-if-env-changed=KARAKURI_CASES");
-    let Ok(path) = env::var("KARAKURI_CASES") else {
-        return format!("compile_error!(\"KARAKURI_CASES is not set; {REMEDY}\");\n");
-    };
-    let path = input_path(&path);
+fn cases(path: &str) -> String {
     format!(
         "/// Cases for the blob, in the format of `case.rs`.\n\
          static CASES: &[u8] = include_bytes!({path:?});\n"

@@ -75,6 +75,37 @@ pub struct TrainState {
     pub dataset_hash: String,
     /// Seed of the run.
     pub seed: u64,
+    /// What `tune` made of it; `None` for a run of `train`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tuning: Option<Tuning>,
+}
+
+/// How a checkpoint was tuned for a number format, after its training.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Tuning {
+    /// The format's name; for others the checkpoint is quantised as any other.
+    pub format: String,
+    /// SHA-256 of the checkpoint file that it began with, hexadecimal.
+    pub parent_hash: String,
+    /// Seed of the draws.
+    pub seed: u64,
+    /// Steps asked for.
+    pub step_count: u64,
+    /// Steps done.
+    pub step: u64,
+    /// Learning rate of the first step.
+    pub learning_rate: f64,
+    /// How activations are stored, settled before the first step. // (hidden layer)
+    pub activations: Vec<TunedActivation>,
+}
+
+/// See `quantize::layer::InputScale`; an f32, which survives the trip through JSON.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TunedActivation {
+    /// Real value of 1.
+    pub scale: f32,
+    /// Stored value of zero.
+    pub zero_point: i16,
 }
 
 impl Checkpoint {
@@ -106,6 +137,7 @@ impl Checkpoint {
                 config_hash: hexadecimal(&config.config_hash()),
                 dataset_hash: dataset_hash(dataset),
                 seed: config.seed,
+                tuning: None,
             },
             config: config.clone(),
             dataset: description.clone(),

@@ -10,3 +10,4 @@ pub mod inspect_clips;
 pub mod quantize;
 pub mod reconstruct;
 pub mod train;
+pub mod tune;

@@ -23,6 +23,7 @@ pub mod checkpoint;
 pub mod train;
 pub mod mixture;
 pub mod quantize;
+pub mod tune;
 pub mod reconstruct;
 pub mod generate;
 pub mod export;

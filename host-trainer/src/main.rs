@@ -4,7 +4,7 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 use host_trainer::commands::{
-    bench, character, demo, generate, inspect, inspect_clips, quantize, reconstruct, train,
+    bench, character, demo, generate, inspect, inspect_clips, quantize, reconstruct, train, tune,
 };
 use host_trainer::error::Result;
 
@@ -32,6 +32,8 @@ enum Verb {
     Train(train::TrainArgs),
     /// Measure how well a run and its blobs give the training clips back
     Reconstruct(reconstruct::ReconstructArgs),
+    /// Make a run lose less to a number format
+    Tune(tune::TuneArgs),
     /// Make a blob of a run
     Quantize(quantize::QuantizeArgs),
     /// Make new motions
@@ -57,6 +59,7 @@ fn run(verb: &Verb) -> Result<()> {
         Verb::Inspect(args) => inspect::run(args),
         Verb::Train(args) => train::run(args),
         Verb::Reconstruct(args) => reconstruct::run(args),
+        Verb::Tune(args) => tune::run(args),
         Verb::Quantize(args) => quantize::run(args),
         Verb::Generate(args) => generate::run(args),
         Verb::Bench(args) => bench::run(args),

@@ -9,6 +9,7 @@
 // In the order of the data's journey.
 pub mod split;
 pub mod calibrate;
+pub mod effective;
 pub mod layer;
 pub mod nibble;
 pub mod scale;
@@ -30,9 +31,10 @@ use crate::dataset::DatasetDescription;
 use crate::error::{Error, Result};
 use crate::float_model::{CodeTable, DenseLayer, FloatModel};
 use crate::mixture::set::MixtureSet;
-use crate::quantize::calibrate::{calibrate, calibration_cases};
+use crate::quantize::calibrate::{Observed, calibrate, calibration_cases};
 use crate::quantize::half_layers::half_layers;
 use crate::quantize::integer_layers::{IntegerInput, integer_layers};
+use crate::quantize::layer::{InputScale, activation_scale};
 use crate::quantize::sampler::{code_fraction_bits, quantize_sampler};
 use crate::quantize::split::split_layers;
 use crate::quantize::stored::StoredLayers;
@@ -53,6 +55,8 @@ pub struct QuantizeInput<'a> {
     pub dataset: &'a DatasetDescription,
     /// Length intervals and mixtures.
     pub mixtures: &'a MixtureSet,
+    /// How hidden activations are stored, if tuning has settled that for the format; otherwise it is calibrated.
+    pub tuned: Option<&'a [InputScale]>,
     /// Where the checkpoint comes from.
     pub provenance: Provenance,
 }
@@ -120,6 +124,44 @@ fn store_layers(
     if options.format == NumberFormat::F16 {
         return half_layers(layers);
     }
+    let (format, packing) = (options.format, options.packing);
+    let (hidden, means) = match input.tuned {
+        // Tuning has learned biases for the very weights; there is nothing to correct.
+        Some(hidden) => (hidden.to_vec(), vec![Vec::new(); hidden.len()]),
+        None => {
+            let observed = observe_activations(input)?;
+            let hidden = activation_scales(&observed, format);
+            (hidden, observed.into_iter().map(|observed| observed.mean).collect())
+        }
+    };
+    let narrowest = || narrowest_weights(format, layers.len());
+    let weights = options.weights.clone().unwrap_or_else(narrowest);
+    integer_layers(IntegerInput {
+        layers,
+        hidden: &hidden,
+        means: &means,
+        format,
+        packing,
+        weights: &weights,
+        code_fraction_bits,
+    })
+}
+
+/// Weights of each layer, unless a format is asked for.
+pub fn narrowest_weights(format: NumberFormat, layer_count: usize) -> Vec<WeightFormat> {
+    let narrowest = match format {
+        NumberFormat::W4A8 => WeightFormat::I4,
+        NumberFormat::W8A16 | NumberFormat::W8A8 => WeightFormat::I8,
+        NumberFormat::F16 => WeightFormat::Half,
+    };
+    vec![narrowest; layer_count]
+}
+
+/// What flows through the hidden layers for the codes that a device will see. // (hidden layer)
+///
+/// # Errors
+/// Those of [`calibration_cases`].
+pub fn observe_activations(input: &QuantizeInput<'_>) -> Result<Vec<Observed>> {
     let cases = calibration_cases(
         input.sequence_codes,
         input.action_codes,
@@ -127,21 +169,12 @@ fn store_layers(
         input.mixtures,
         input.provenance.seed,
     )?;
-    let observed = calibrate(input.model, &cases);
-    let narrowest = match options.format {
-        NumberFormat::W4A8 => WeightFormat::I4,
-        _ => WeightFormat::I8,
-    };
-    let weights = options.weights.clone().unwrap_or_else(|| vec![narrowest; layers.len()]);
-    let (format, packing) = (options.format, options.packing);
-    integer_layers(IntegerInput {
-        layers,
-        observed: &observed,
-        format,
-        packing,
-        weights: &weights,
-        code_fraction_bits,
-    })
+    Ok(calibrate(input.model, &cases))
+}
+
+/// How hidden activations are stored. // (hidden layer)
+pub fn activation_scales(observed: &[Observed], format: NumberFormat) -> Vec<InputScale> {
+    observed.iter().map(|observed| activation_scale(observed, format.activation_range())).collect()
 }
 
 fn assemble(
@@ -209,8 +242,12 @@ fn check_fits(layers: &[DenseLayer], input: &QuantizeInput<'_>) -> Result<()> {
 }
 
 fn frequency_bytes(frequencies_rad: &[f64]) -> Vec<u8> {
-    let step = |rate_rad: &f64| (rate_rad / TAU * 2f64.powi(32)).round() as u64 as u32;
-    frequencies_rad.iter().flat_map(|rate_rad| step(rate_rad).to_le_bytes()).collect()
+    frequencies_rad.iter().flat_map(|&rate_rad| frequency_step(rate_rad).to_le_bytes()).collect()
+}
+
+/// Turns per frame · 2^32.
+pub fn frequency_step(rate_rad: f64) -> u32 {
+    (rate_rad / TAU * 2f64.powi(32)).round() as u64 as u32
 }
 
 fn action_code_bytes(codes: &CodeTable, fraction_bits: u8) -> Vec<u8> {

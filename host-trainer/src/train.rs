@@ -65,11 +65,11 @@ pub enum Progress {
 }
 
 /// Time between two lines of `metrics.jsonl`.
-const LINE_PERIOD: Duration = Duration::from_secs(1);
+pub(crate) const LINE_PERIOD: Duration = Duration::from_secs(1);
 /// Time between two saves: the most that a kill can lose.
-const SAVE_PERIOD: Duration = Duration::from_secs(30);
-const CONFIG_FILE_NAME: &str = "config.toml";
-const PLOT_FILE_NAME: &str = "loss.svg";
+pub(crate) const SAVE_PERIOD: Duration = Duration::from_secs(30);
+pub(crate) const CONFIG_FILE_NAME: &str = "config.toml";
+pub(crate) const PLOT_FILE_NAME: &str = "loss.svg";
 
 /// Trains until the budget is used up; returns what `run/checkpoint.safetensors` then holds.
 ///
@@ -305,9 +305,9 @@ impl Clock {
     }
 }
 
-const BAR_LENGTH: u64 = 1000;
+pub(crate) const BAR_LENGTH: u64 = 1000;
 
-fn progress_bar(progress: Progress) -> ProgressBar {
+pub(crate) fn progress_bar(progress: Progress) -> ProgressBar {
     let target = match progress {
         Progress::Bar => ProgressDrawTarget::stderr(),
         Progress::Hidden => ProgressDrawTarget::hidden(),

@@ -11,6 +11,7 @@ use crate::error::Result;
 use crate::inspect::blob::BlobReport;
 use crate::mixture;
 use crate::mixture::set::MixtureSet;
+use crate::quantize::layer::InputScale;
 use crate::quantize::{QuantizeInput, QuantizeOptions, Quantized, quantize};
 use crate::stdout::{print, print_json};
 
@@ -153,6 +154,7 @@ pub fn quantize_checkpoint(
     mixtures: &MixtureSet,
     options: &QuantizeOptions,
 ) -> Result<Quantized> {
+    let tuned = tuned_activations(checkpoint, options.format);
     let input = QuantizeInput {
         name,
         model: &checkpoint.model,
@@ -160,10 +162,17 @@ pub fn quantize_checkpoint(
         action_codes: &checkpoint.action_codes,
         dataset: &checkpoint.dataset,
         mixtures,
+        tuned: tuned.as_deref(),
         provenance: Provenance {
             config_hash: checkpoint.config.config_hash(),
             seed: checkpoint.config.seed,
         },
     };
     quantize(&input, options)
+}
+
+/// How tuning for this very format has settled that activations are stored.
+fn tuned_activations(checkpoint: &Checkpoint, format: NumberFormat) -> Option<Vec<InputScale>> {
+    let tuning = checkpoint.state.tuning.as_ref()?;
+    (tuning.format == format.name()).then(|| tuning.inputs(format))
 }

@@ -115,7 +115,7 @@ fn configure(args: &TrainArgs) -> Result<TrainConfig> {
 const EXIT_INTERRUPTED: i32 = 130;
 
 /// A flag that Ctrl-C and a polite kill set; a second one ends the program at once, which loses no saved file.
-fn stop_on_interrupt(run: &Path) -> Result<Arc<AtomicBool>> {
+pub(super) fn stop_on_interrupt(run: &Path) -> Result<Arc<AtomicBool>> {
     let stop = Arc::new(AtomicBool::new(false));
     let flag = Arc::clone(&stop);
     let on_interrupt = move || {
@@ -129,7 +129,7 @@ fn stop_on_interrupt(run: &Path) -> Result<Arc<AtomicBool>> {
 }
 
 /// The command line as typed, with `--resume`.
-fn resume_command(arguments: impl Iterator<Item = String>) -> String {
+pub(super) fn resume_command(arguments: impl Iterator<Item = String>) -> String {
     let mut words: Vec<String> = arguments.map(|word| quoted(&word)).collect();
     if !words.iter().any(|word| word == "--resume") {
         words.push("--resume".to_owned());

@@ -12,9 +12,9 @@ use faer::prelude::ReborrowMut;
 use faer::{Accum, MatRef};
 use rayon::prelude::*;
 
-use super::activation::elu_slope;
+use super::activation::{ActivationGrid, elu_slope};
 use super::forward::{Rows, matrix, matrix_mut, multiply, multiply_rows};
-use super::workspace::{Block, Workspace};
+use super::workspace::{Block, Pass, Workspace};
 use super::{DenseLayer, FloatModel};
 use crate::simd::{self, vectorized};
 
@@ -32,8 +32,8 @@ pub struct Wanted<'a> {
 impl FloatModel {
     /// Computes the wanted gradients of the batch that `forward` just decoded.
     pub fn backward(&self, rows: &Rows<'_>, workspace: &mut Workspace, wanted: Wanted<'_>) {
-        let (_, _, blocks) = workspace.parts_and_blocks();
-        blocks.par_iter_mut().for_each(|block| self.backward_block(block));
+        let Pass { grids, blocks, .. } = workspace.pass();
+        blocks.par_iter_mut().for_each(|block| self.backward_block(grids, block));
         workspace.sum_first_deltas(rows);
         if let Some(gradient) = wanted.decoder {
             self.decoder_gradient(rows, workspace, gradient, wanted.accumulate);
@@ -47,7 +47,7 @@ impl FloatModel {
     }
 
     /// From the deltas of the last layer to those of the first.
-    fn backward_block(&self, block: &mut Block) {
+    fn backward_block(&self, grids: &[ActivationGrid], block: &mut Block) {
         let row_count = block.rows.len();
         for (index, layer) in self.layers.iter().enumerate().skip(1).rev() {
             let (before, after) = block.layers.split_at_mut(index);
@@ -55,11 +55,7 @@ impl FloatModel {
             let (outputs, target) = before[index - 1].activations_and_deltas_mut(row_count);
             let product = matrix_mut(target, layer.input_count);
             multiply(product, Accum::Replace, deltas, layer.weight_matrix());
-            vectorized(|| {
-                for (delta, output) in target.iter_mut().zip(outputs) {
-                    *delta *= elu_slope(*output);
-                }
-            });
+            scale_by_slope(target, outputs, grids.get(index - 1));
         }
     }
 
@@ -104,6 +100,22 @@ impl FloatModel {
         };
         rayon::join(first_layer, other_layers);
     }
+}
+
+/// Turns the gradient by a layer's outputs into that by its sums.
+fn scale_by_slope(deltas: &mut [f32], outputs: &[f32], grid: Option<&ActivationGrid>) {
+    vectorized(|| match grid {
+        None => {
+            for (delta, output) in deltas.iter_mut().zip(outputs) {
+                *delta *= elu_slope(*output);
+            }
+        }
+        Some(grid) => {
+            for (delta, output) in deltas.iter_mut().zip(outputs) {
+                *delta *= grid.elu_slope(*output);
+            }
+        }
+    });
 }
 
 /// The sum of `deltasᵀ · input` over the products, into some columns of the weight gradient.

@@ -12,8 +12,8 @@ use faer::linalg::matmul::matmul;
 use faer::{Accum, MatMut, MatRef, Par};
 use rayon::prelude::*;
 
-use super::activation::elu;
-use super::workspace::{Block, Workspace};
+use super::activation::{ActivationGrid, elu};
+use super::workspace::{Block, Pass, Workspace};
 use super::{DenseLayer, FloatModel};
 use crate::simd::vectorized;
 
@@ -42,10 +42,10 @@ impl FloatModel {
         multiply_rows(&mut workspace.code_part, rows.codes, code_weights.transpose());
         multiply_rows(&mut workspace.time_part, rows.tau, time_weights.transpose());
         workspace.cut(rows.code_of_row.len());
-        let (code_part, time_part, blocks) = workspace.parts_and_blocks();
+        let Pass { code_part, time_part, grids, blocks } = workspace.pass();
         blocks.par_iter_mut().for_each(|block| {
-            self.forward_first(rows, code_part, time_part, block);
-            self.forward_others(block);
+            self.forward_first(rows, [code_part, time_part], grids, block);
+            self.forward_others(grids, block);
         });
     }
 
@@ -53,8 +53,8 @@ impl FloatModel {
     fn forward_first(
         &self,
         rows: &Rows<'_>,
-        code_part: &[f32],
-        time_part: &[f32],
+        [code_part, time_part]: [&[f32]; 2],
+        grids: &[ActivationGrid],
         block: &mut Block,
     ) {
         let width = self.layers[0].output_count;
@@ -68,12 +68,12 @@ impl FloatModel {
                     *output = code + time;
                 }
             });
-            self.finish_row(0, output);
+            self.finish_row(0, grids.first(), output);
         }
     }
 
     /// All layers after the first.
-    fn forward_others(&self, block: &mut Block) {
+    fn forward_others(&self, grids: &[ActivationGrid], block: &mut Block) {
         let row_count = block.rows.len();
         for (index, layer) in self.layers.iter().enumerate().skip(1) {
             let (before, after) = block.layers.split_at_mut(index);
@@ -82,13 +82,13 @@ impl FloatModel {
             let target = matrix_mut(output, layer.output_count);
             multiply(target, Accum::Replace, input, layer.weight_matrix().transpose());
             for row in output.chunks_exact_mut(layer.output_count) {
-                self.finish_row(index, row);
+                self.finish_row(index, grids.get(index), row);
             }
         }
     }
 
-    /// Adds the bias and applies the activation, if the layer has one.
-    fn finish_row(&self, layer: usize, row: &mut [f32]) {
+    /// Adds the bias, applies the activation if the layer has one, and rounds it if there is a grid.
+    fn finish_row(&self, layer: usize, grid: Option<&ActivationGrid>, row: &mut [f32]) {
         let bias = &self.layers[layer].bias;
         if layer + 1 < self.layers.len() {
             vectorized(|| {
@@ -96,6 +96,9 @@ impl FloatModel {
                     *value = elu(*value + bias);
                 }
             });
+            if let Some(grid) = grid {
+                vectorized(|| row.iter_mut().for_each(|value| *value = grid.round(*value)));
+            }
         } else {
             crate::simd::add(row, bias);
         }

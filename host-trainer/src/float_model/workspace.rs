@@ -9,6 +9,7 @@ use core::ops::Range;
 use rayon::prelude::*;
 
 use super::FloatModel;
+use super::activation::ActivationGrid;
 use super::forward::Rows;
 use crate::simd;
 
@@ -27,6 +28,20 @@ pub struct Workspace {
     rows_of_moment: Groups,
     blocks: Vec<Block>,
     block_count: usize,
+    /// Where hidden activations are rounded to; empty: nowhere. // (hidden layer)
+    grids: Vec<ActivationGrid>,
+}
+
+/// What [`Workspace::pass`] lends.
+pub(super) struct Pass<'a> {
+    /// Layer 1 by code. // (code, unit of layer 1)
+    pub code_part: &'a [f32],
+    /// Layer 1 by moment. // (moment, unit of layer 1)
+    pub time_part: &'a [f32],
+    /// See `Workspace`. // (hidden layer) or empty
+    pub grids: &'a [ActivationGrid],
+    /// Of the present batch.
+    pub blocks: &'a mut [Block],
 }
 
 /// Consecutive rows of a batch.
@@ -75,7 +90,13 @@ impl Workspace {
             rows_of_moment: Groups::with_capacity(moments_max, rows_max),
             blocks: vec![Block { rows: 0..0, layers }; rows_max.div_ceil(BLOCK_ROWS_MAX)],
             block_count: 0,
+            grids: Vec::new(),
         }
+    }
+
+    /// From now on both passes see activations as a device stores them. // (hidden layer)
+    pub fn round_activations(&mut self, grids: Vec<ActivationGrid>) {
+        self.grids = grids;
     }
 
     /// Cuts a batch of this many rows into blocks of nearly equal size.
@@ -92,9 +113,14 @@ impl Workspace {
         &self.blocks[..self.block_count]
     }
 
-    /// The parts of layer 1 by code and by moment, and the blocks that they are for.
-    pub(super) fn parts_and_blocks(&mut self) -> (&[f32], &[f32], &mut [Block]) {
-        (&self.code_part, &self.time_part, &mut self.blocks[..self.block_count])
+    /// All that a pass through the blocks needs.
+    pub(super) fn pass(&mut self) -> Pass<'_> {
+        Pass {
+            code_part: &self.code_part,
+            time_part: &self.time_part,
+            grids: &self.grids,
+            blocks: &mut self.blocks[..self.block_count],
+        }
     }
 
     /// Layer 1's deltas, summed per code and per moment, in the place of the forward pass's parts.

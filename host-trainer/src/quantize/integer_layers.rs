@@ -11,8 +11,7 @@ use karakuri::packing::ByteLayout;
 
 use crate::error::{Error, Result};
 use crate::float_model::DenseLayer;
-use crate::quantize::calibrate::Observed;
-use crate::quantize::layer::{InputScale, activation_scale, quantize_layer};
+use crate::quantize::layer::{InputScale, quantize_layer};
 use crate::quantize::nibble::{pack_nibbles, quantize_nibble_row};
 use crate::quantize::scale::{elu_scale, requantizer_of};
 use crate::quantize::stored::{StoredLayers, shape_of};
@@ -22,8 +21,10 @@ use crate::quantize::stored::{StoredLayers, shape_of};
 pub struct IntegerInput<'a> {
     /// Code half, time half, the others.
     pub layers: &'a [DenseLayer],
-    /// Inputs of every layer after the time half.
-    pub observed: &'a [Observed],
+    /// How the inputs of every layer after the time half are stored.
+    pub hidden: &'a [InputScale],
+    /// Means of these inputs, to correct biases for the rounding of weights; empty: no correction. // (layer)(input)
+    pub means: &'a [Vec<f32>],
     /// `F16` has no integer layers.
     pub format: NumberFormat,
     /// Order of 8-bit weights.
@@ -85,9 +86,17 @@ pub fn input_scales(input: IntegerInput<'_>) -> Vec<InputScale> {
     };
     let one = i64::from(input.format.sinusoid_one());
     let time = InputScale { scale: 1.0 / one as f64, zero_point: 0, magnitude_max: one };
-    let range = input.format.activation_range();
-    let hidden = input.observed.iter().map(|observed| activation_scale(observed, range));
-    [code, time].into_iter().chain(hidden).collect()
+    [code, time].into_iter().chain(input.hidden.iter().copied()).collect()
+}
+
+/// Accumulators per product of an i8 weight and an input: 256 where the kernel multiplies two weights at once.
+pub fn product_unit(index: usize, format: NumberFormat) -> i64 {
+    if activations_are_bytes(index, format) { 256 } else { 1 }
+}
+
+/// Codes have 16 bits in every format.
+fn activations_are_bytes(index: usize, format: NumberFormat) -> bool {
+    index != CODE_LAYER && format.activation_range().1 == 127
 }
 
 /// Fraction bits of pre-activations: as many as the narrow requantizer can serve; 16-bit activations need none.
@@ -116,13 +125,13 @@ fn store_rows(input: IntegerInput<'_>, index: usize, scale: InputScale) -> Store
     let layer = &input.layers[index];
     let means = match index {
         CODE_LAYER | TIME_LAYER => &[][..],
-        _ => input.observed[index - TIME_LAYER - 1].mean.as_slice(),
+        _ => input.means[index - TIME_LAYER - 1].as_slice(),
     };
     if input.weights[index] == WeightFormat::I4 {
         return store_nibble_rows(layer, scale, means);
     }
-    let bytes = index != CODE_LAYER && input.format.activation_range().1 == 127;
-    let quantized = quantize_layer(layer, scale, means, if bytes { 256 } else { 1 });
+    let bytes = activations_are_bytes(index, input.format);
+    let quantized = quantize_layer(layer, scale, means, product_unit(index, input.format));
     let shape = shape_of(layer, WeightFormat::I8, ActivationScale::NONE);
     let mut weights = vec![0; shape.rows_filled() / 4 * shape.block_bytes()];
     ByteLayout::new(input.packing, bytes).pack(&shape, &quantized.weights, &mut weights);

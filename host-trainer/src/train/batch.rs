@@ -138,6 +138,11 @@ impl Batch {
         self.moments.len()
     }
 
+    /// The frames that occur, each once. // (moment)
+    pub fn moments(&self) -> &[usize] {
+        &self.moments
+    }
+
     /// What the decoder has to evaluate.
     pub fn rows(&self) -> Rows<'_> {
         Rows {

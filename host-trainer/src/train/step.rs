@@ -31,6 +31,20 @@ pub struct StepReport {
     pub moment_count: usize,
 }
 
+impl StepReport {
+    /// Adds another batch to this one; both are of the same channels.
+    pub fn add(&mut self, other: &Self) {
+        let rows = (self.row_count + other.row_count) as f64;
+        let share = other.row_count as f64 / rows;
+        self.reconstruction += (other.reconstruction - self.reconstruction) * share;
+        self.squared_errors.resize(other.squared_errors.len(), 0.0);
+        for (sum, squares) in self.squared_errors.iter_mut().zip(&other.squared_errors) {
+            *sum += squares;
+        }
+        self.row_count += other.row_count;
+    }
+}
+
 /// The checkpoint with the buffers that training it needs.
 #[derive(Debug)]
 pub struct Trainer<'a> {
@@ -315,7 +329,7 @@ impl CodeStep {
 }
 
 /// Weight of each channel's mean squared error, so that their sum is the loss. // (channel)
-fn channel_weights(layout: &PoseLayout, reduction: Reduction) -> Vec<f32> {
+pub fn channel_weights(layout: &PoseLayout, reduction: Reduction) -> Vec<f32> {
     let channel_count_of = |kind| {
         let of_kind = layout.groups.iter().filter(|group| group.kind == kind);
         of_kind.map(|group| group.kind.channel_count()).sum::<usize>()

@@ -1,0 +1,198 @@
+//! The loops in assembly for cores with the DSP extension: Armv7E-M (M4, M7), and Armv8-M that has it (M33).
+//!
+//! In:  as for [`portable`](super::portable), whose results these equal bit for bit.
+//! Out: the same sums, for a quarter of the instructions or less.
+//!
+//! Why here: a compiler spills the sums or the pointers of these loops; written by hand, all of them fit into r0 to r12
+//! and lr. `SMLAD` multiplies two pairs of halfwords and adds both products; `SXTB16` extends bytes 0 and 2 of a word
+//! to halfwords, or bytes 1 and 3 with `ror 8`.
+//!
+//! # Entry into the unrolled loops
+//! A loop of 8 turns is entered so that `count % 8` turns are left (`TBH` jumps by a table of offsets, and all turns
+//! have the same size), then runs `count / 8` times as a whole. No turns left means a jump to the test at the end, which
+//! serves `count == 0`, too.
+//!
+//! # Safety
+//! Assembly reads `count` tiles and `count` quads, both proved to exist, and reads and writes the sums, which are
+//! borrowed mutably. It keeps the calling convention (AAPCS): r4 to r11 and the stack pointer are restored, at most 64
+//! bytes of stack are used, the other registers are the callee's. `LDM` and `LDRD` fault at addresses that are no
+//! multiple of 4: that of the weights is checked, those of the others follow from their types. Weights elsewhere are
+//! copied tile by tile: the loader refuses such blobs, but a result must not depend on an address, and this costs less
+//! flash than the portable loops.
+//!
+//! `.cpu` is needed because link-time optimisation looks at the text without the compiler's own `target-cpu`.
+//!
+//! Source: Armv7-M Architecture Reference Manual (Arm DDI 0403), A7; AAPCS32.
+
+#![allow(unsafe_code)]
+
+mod pair;
+mod w4a8;
+
+use core::arch::global_asm;
+
+#[cfg(doc)]
+use super::portable;
+use super::{Quad, TILE_BYTES};
+
+pub use pair::{w8a8_pair, w8a16_pair};
+pub use w4a8::w4a8;
+
+/// An assembly kernel: tiles at a multiple of 4, activations, how many there are of both, sums.
+type Kernel<Activations, Sums> =
+    unsafe extern "C" fn(*const u8, *const Activations, usize, &mut Sums);
+
+unsafe extern "C" {
+    fn karakuri_dsp_w8a16(tiles: *const u8, quads: *const Quad, count: usize, sums: &mut [i32; 4]);
+    fn karakuri_dsp_w8a8(tiles: *const u8, quads: *const Quad, count: usize, sums: &mut [i32; 4]);
+}
+
+/// A copy that assembly may load words from.
+#[repr(C, align(4))]
+struct Aligned<Bytes>(Bytes);
+
+fn is_aligned(bytes: &[u8]) -> bool {
+    bytes.as_ptr().cast::<u32>().is_aligned()
+}
+
+/// Calls one of this module's kernels with what both sides have.
+#[inline]
+fn run<Activations, Sums>(
+    kernel: Kernel<Activations, Sums>,
+    tiles: &[u8],
+    activations: &[Activations],
+    sums: &mut Sums,
+) {
+    if !is_aligned(tiles) {
+        return run_by_tile(kernel, tiles, activations, sums);
+    }
+    let count = (tiles.len() / TILE_BYTES).min(activations.len());
+    // SAFETY: `count` tiles and activations exist; the tiles are aligned; see the module.
+    unsafe { kernel(tiles.as_ptr(), activations.as_ptr(), count, sums) }
+}
+
+/// The same from any address, one copied tile at a time.
+#[cold]
+fn run_by_tile<Activations, Sums>(
+    kernel: Kernel<Activations, Sums>,
+    tiles: &[u8],
+    activations: &[Activations],
+    sums: &mut Sums,
+) {
+    for (bytes, activations) in tiles.chunks_exact(TILE_BYTES).zip(activations) {
+        let mut tile = Aligned([0; TILE_BYTES]);
+        tile.0.copy_from_slice(bytes);
+        // SAFETY: one tile and its activations exist; the tile is aligned; see the module.
+        unsafe { kernel(tile.0.as_ptr(), activations, 1, sums) }
+    }
+}
+
+/// [`portable::w8a16`]: 18 instructions a tile, and 2 every 8 tiles.
+pub fn w8a16(tiles: &[u8], quads: &[Quad], sums: &mut [i32; 4]) {
+    run(karakuri_dsp_w8a16, tiles, quads, sums);
+}
+
+// r0 tiles, r1 quads, r2 tiles left, r3 bytes 1 and 3, r4-r7 weights, r8 x0 and x2, r9 x1 and x3, r10-r12 and lr sums.
+// Stack: where the sums belong. Every register is in use: two quads at a time (a load less per two tiles) do not fit.
+global_asm!(
+    r#"
+    .macro karakuri_row sum, weights
+    sxtb16  r3, \weights, ror #8
+    sxtb16  \weights, \weights
+    smlad   \sum, r3, r9, \sum
+    smlad   \sum, \weights, r8, \sum
+    .endm
+
+    .cpu    cortex-m4
+    .section .text.karakuri_dsp_w8a16, "ax", %progbits
+    .global karakuri_dsp_w8a16
+    .type   karakuri_dsp_w8a16, %function
+    .thumb_func
+karakuri_dsp_w8a16:
+    push    {r3-r11, lr}
+    ldm     r3, {r10, r11, r12, lr}
+    and     r3, r2, #7
+    tbh     [pc, r3, lsl #1]
+2:  .irp    left, 0, 1, 2, 3, 4, 5, 6, 7
+    .hword  (4f - 2b - \left * ((4f - 3f) / 8)) / 2
+    .endr
+3:  .rept   8
+    ldm     r0!, {r4-r7}
+    ldm     r1!, {r8, r9}
+    karakuri_row r10, r4
+    karakuri_row r11, r5
+    karakuri_row r12, r6
+    karakuri_row lr, r7
+    .endr
+4:  subs    r2, r2, #8
+    bhs     3b
+    pop     {r3}
+    stm     r3, {r10, r11, r12, lr}
+    pop     {r4-r11, pc}
+    .size   karakuri_dsp_w8a16, . - karakuri_dsp_w8a16
+    .purgem karakuri_row
+    .text
+    "#,
+    options(raw)
+);
+
+/// [`portable::w8a8`]: 27 instructions for two tiles, and 3 every 8 tiles.
+pub fn w8a8(tiles: &[u8], quads: &[Quad], sums: &mut [i32; 4]) {
+    run(karakuri_dsp_w8a8, tiles, quads, sums);
+}
+
+// r0 tiles, r1 quads, r4-r7 weights, r8 d0 and d2, r9 x1 and x3, r10 and r11 those of a second quad, r2, r3, r12 and lr
+// sums. Stack: where the sums belong, end of the quads. No register for it: it is needed once in 8 tiles, and two
+// quads in one load save more than its own load costs.
+global_asm!(
+    r#"
+    .macro karakuri_row sum, weights, low, high
+    smlad   \sum, \weights, \high, \sum
+    sxtb16  \weights, \weights
+    smlad   \sum, \weights, \low, \sum
+    .endm
+    .macro karakuri_tile low, high
+    ldm     r0!, {r4-r7}
+    karakuri_row r2, r4, \low, \high
+    karakuri_row r3, r5, \low, \high
+    karakuri_row r12, r6, \low, \high
+    karakuri_row lr, r7, \low, \high
+    .endm
+
+    .cpu    cortex-m4
+    .section .text.karakuri_dsp_w8a8, "ax", %progbits
+    .global karakuri_dsp_w8a8
+    .type   karakuri_dsp_w8a8, %function
+    .thumb_func
+karakuri_dsp_w8a8:
+    push    {r4-r11, lr}
+    add     r12, r1, r2, lsl #3
+    push    {r3, r12}
+    ubfx    r10, r2, #1, #2
+    tst     r2, #1
+    ldm     r3, {r2, r3, r12, lr}
+    beq     2f
+    ldm     r1!, {r8, r9}
+    karakuri_tile r8, r9
+2:  tbh     [pc, r10, lsl #1]
+3:  .irp    left, 0, 1, 2, 3
+    .hword  (5f - 3b - \left * ((5f - 4f) / 4)) / 2
+    .endr
+4:  .rept   4
+    ldm     r1!, {r8-r11}
+    karakuri_tile r8, r9
+    karakuri_tile r10, r11
+    .endr
+5:  ldr     r4, [sp, #4]
+    cmp     r1, r4
+    blo     4b
+    pop     {r4, r5}
+    stm     r4, {r2, r3, r12, lr}
+    pop     {r4-r11, pc}
+    .size   karakuri_dsp_w8a8, . - karakuri_dsp_w8a8
+    .purgem karakuri_tile
+    .purgem karakuri_row
+    .text
+    "#,
+    options(raw)
+);
