@@ -3,7 +3,8 @@
 //! In:  the committed blobs, and the seeds of the fuzzers, which are smaller and hold every format, packing and table.
 //!
 //! Why here: flash loses single bits. Small blobs are loaded once for every bit. For the real ones that would read
-//! 10 gigabytes; their checksum is followed bit by bit instead, and the loader is asked at some places whether it agrees.
+//! 10 gigabytes; their checksum is followed bit by bit instead, and the loader is asked at some places whether it
+//! agrees.
 //! Source: CRCs are linear: a flip changes the checksum by a number that depends on nothing but the place of the bit.
 
 // The fuzzers' own; the seal of a forger is the same.
