@@ -76,9 +76,11 @@ impl<'a> Model<'a> {
         let (mut frequencies, mut time_table) = (&[][..], &[][..]);
         let mut sampler = Sampler::new(&manifest);
         let (packing, format) = (manifest.packing, manifest.number_format);
-        let layer = |(index, &shape)| Layer::new(shape, packing, format, index);
-        let mut layers: heapless::Vec<Layer<'a>, LAYERS_MAX> =
-            manifest.layers.iter().enumerate().map(layer).collect();
+        let mut layers = heapless::Vec::<Layer<'a>, LAYERS_MAX>::new();
+        for (index, &shape) in manifest.layers.iter().enumerate() {
+            // As many fit as the manifest can name; `collect` would panic beyond.
+            let _ = layers.push(Layer::new(shape, packing, format, index));
+        }
         let mut end = envelope.tensors_start();
         for (kind, length) in tensor_plan(&manifest) {
             let start = aligned(end);
@@ -196,7 +198,7 @@ impl<'a> Model<'a> {
             let scaled = value * one;
             (if scaled < 0.0 { scaled - 0.5 } else { scaled + 0.5 }) as i16
         };
-        Code { values: given.take(self.code_count()).map(round).collect() }
+        Code::default().append(given.take(self.code_count()).map(round))
     }
 
     /// The numbers of a code (β then α) as floats, exact.
