@@ -10,6 +10,7 @@ use crate::code::Code;
 use crate::error::{BlobError, SampleError};
 use crate::layer::{Layer, Order};
 use crate::limits::LAYERS_MAX;
+use crate::little_endian::i16s;
 use crate::manifest::{
     CODE_LAYER, Group, Joint, LayerShape, Manifest, NumberFormat, Provenance, TIME_LAYER,
     TensorKind, tensor_plan,
@@ -63,7 +64,20 @@ impl<'a> Model<'a> {
                 });
             }
         }
+        model.check_time_table()?;
         Ok(model)
+    }
+
+    /// Stored products must not reach beyond what the time half's own could: its room was measured by those.
+    fn check_time_table(&self) -> Result<(), BlobError> {
+        let room = self.layers.get(TIME_LAYER).map_or(0, Layer::room);
+        let products_max = i64::from(i32::MAX - room);
+        let shift = self.manifest.time_table_shift & 15;
+        let too_large = |entry: i16| i64::from(entry).abs() << shift > products_max;
+        match i16s(self.time_table).position(too_large) {
+            Some(index) => Err(BlobError::BadField { field: "time table", value: index as u32 }),
+            None => Ok(()),
+        }
     }
 
     /// Cuts the blob into tensors by the manifest's plan; the plan must end exactly where the blob ends.
