@@ -84,7 +84,7 @@ fn a_cortex_m4_refuses_weights_in_rows_by_name() {
 
 #[test]
 fn a_cortex_m4_reads_a_time_table_as_the_host_does() {
-    let Some(outcome) = run_quantized("--format w8a8 --time-table 60") else { return };
+    let Some(outcome) = run_quantized("--format w8a8 --time-table 300") else { return };
     let parity = outcome.succeeded().json();
     assert_eq!(parity["differences"]["bits_differing"], 0, "{parity}");
 }
