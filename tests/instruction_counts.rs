@@ -84,9 +84,10 @@ fn text(compiler: &str, table: &Table) -> String {
 }
 
 fn golden() -> (String, Table) {
-    let text = fs::read_to_string(golden_path(GOLDEN)).expect("a committed golden");
+    // Without a golden, every number is one too many.
+    let text = fs::read_to_string(golden_path(GOLDEN)).unwrap_or_default();
     let mut lines = text.lines();
-    let compiler = lines.next().expect("a line with the compiler").to_owned();
+    let compiler = lines.next().unwrap_or_default().to_owned();
     let row = |line: &str| {
         let cells: Vec<&str> = line.split(',').collect();
         let (name, numbers) = cells.split_at(KEYS.len());

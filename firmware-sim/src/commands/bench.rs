@@ -1,6 +1,6 @@
 //! `firmware-sim bench`: what does a motion cost on a chip?
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use indicatif::ProgressBar;
@@ -61,7 +61,7 @@ pub fn run(args: &BenchArgs) -> Result<()> {
 }
 
 fn count(args: &BenchArgs, targets: &[Target], progress: &ProgressBar) -> Result<Vec<Row>> {
-    let files = args.models.iter().map(file).collect::<Result<Vec<_>>>()?;
+    let files = args.models.iter().map(|path| file(path)).collect::<Result<Vec<_>>>()?;
     let bench = Bench::new()?;
     let mut rows = Vec::new();
     for &target in targets {
@@ -72,7 +72,7 @@ fn count(args: &BenchArgs, targets: &[Target], progress: &ProgressBar) -> Result
     Ok(rows)
 }
 
-fn file(path: &PathBuf) -> Result<Subject> {
+fn file(path: &Path) -> Result<Subject> {
     Ok(Subject { network: path.display().to_string(), blob: read_blob(path)? })
 }
 

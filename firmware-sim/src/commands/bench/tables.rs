@@ -26,7 +26,7 @@ fn network_report(network: &str, rows: &[&Row]) -> String {
     let part_names = rows.first().map(|row| row.parts.as_slice()).unwrap_or_default();
     let part_names: Vec<&str> = part_names.iter().map(|part| part.part.as_str()).collect();
     let sections = [
-        ("instructions per pose", table(rows, &POSE, |row| pose(row))),
+        ("instructions per pose", table(rows, &POSE, pose)),
         ("instructions per pose by part", table(rows, &part_names, by_part)),
         ("instructions at the start", table(rows, &START, start)),
         ("bytes of flash", table(rows, &FLASH, flash)),
@@ -165,7 +165,7 @@ fn grouped(number: u64) -> String {
     let digits = number.to_string();
     let mut text = String::new();
     for (index, digit) in digits.chars().enumerate() {
-        if index > 0 && (digits.len() - index) % 3 == 0 {
+        if index > 0 && (digits.len() - index).is_multiple_of(3) {
             text.push(',');
         }
         text.push(digit);
