@@ -23,8 +23,8 @@ use tests::{
 };
 
 /// Least signal-to-noise ratio in dB, and largest error in degrees, for every servo together. Half of what was measured
-/// (47.2 dB and 0.092°, 40.4 dB and 0.399°, 24.3 dB and 1.79°, 74.1 dB and 0.005°), because training differs from machine
-/// to machine.
+/// (47.2 dB and 0.092°, 40.4 dB and 0.399°, 24.3 dB and 1.79°, 74.1 dB and 0.005°), because training differs from
+/// machine to machine.
 const BOUNDS: [(&str, f64, f64); 4] =
     [("w8a16", 41.0, 0.2), ("w8a8", 34.0, 0.8), ("w4a8", 18.0, 3.6), ("f16", 68.0, 0.02)];
 

@@ -2,18 +2,25 @@
 //!
 //! Why here: the promise that matters most, checked where nothing but a blob and two programs is involved.
 
+use std::path::Path;
+
 use firmware_sim::parity::POSE_COUNT_MIN;
-use tests::{FLOAT_FORMAT, GOLDEN_BLOBS, Outcome, Program, golden_path, repository, skip};
+use tests::{
+    FLOAT_FORMAT, GOLDEN_BLOBS, Outcome, Program, golden_path, host_trainer, repository, skip,
+    workplace,
+};
 
 /// `firmware-sim`'s exit code where QEMU or a cross-compiler is missing.
 const MISSING_TOOL: i32 = 6;
 
+/// … and where the program on the chip stopped.
+const STOPPED: i32 = 7;
+
 /// The answer of the simulator, unless this machine cannot give one.
-fn run(blob: &str) -> Option<Outcome> {
-    let path = golden_path(blob);
+fn run(blob: &Path) -> Option<Outcome> {
     let arguments = [
         "run".as_ref(),
-        path.as_os_str(),
+        blob.as_os_str(),
         "--target".as_ref(),
         "cortex-m4".as_ref(),
         "--json".as_ref(),
@@ -33,7 +40,7 @@ fn a_cortex_m4_decodes_the_committed_blobs_as_the_host_does() {
         "format  poses  actions  lengths  bits compared  bits differing  tolerance used\n"
             .to_owned();
     for (format, blob) in GOLDEN_BLOBS {
-        let Some(outcome) = run(blob) else { return };
+        let Some(outcome) = run(&golden_path(blob)) else { return };
         let parity = outcome.succeeded().json();
         let count = |key: &str| parity[key].as_u64().unwrap_or_default();
         let bits = |key: &str| parity["differences"][key].as_u64().unwrap_or(u64::MAX);
@@ -58,4 +65,26 @@ fn a_cortex_m4_decodes_the_committed_blobs_as_the_host_does() {
         }
     }
     println!("{table}");
+}
+
+/// What `quantize` writes with these flags, on the chip.
+fn run_quantized(flags: &str) -> Option<Outcome> {
+    let folder = workplace();
+    let line = format!("quantize creature {flags} --out quantized.kara");
+    host_trainer(folder.path(), &line).succeeded();
+    run(&folder.path().join("quantized.kara"))
+}
+
+/// Never a wrong pose: the kernels in assembly would read such weights in another order.
+#[test]
+fn a_cortex_m4_refuses_weights_in_rows_by_name() {
+    let Some(outcome) = run_quantized("--packing rows") else { return };
+    outcome.refused(STOPPED, &["PackedForAnotherKernel", "Rows", "dsp"]);
+}
+
+#[test]
+fn a_cortex_m4_reads_a_time_table_as_the_host_does() {
+    let Some(outcome) = run_quantized("--format w8a8 --time-table 300") else { return };
+    let parity = outcome.succeeded().json();
+    assert_eq!(parity["differences"]["bits_differing"], 0, "{parity}");
 }
