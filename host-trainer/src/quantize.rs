@@ -315,7 +315,7 @@ mod tests {
 
     #[test]
     fn layers_that_save_no_flash_keep_eight_bits() {
-        let layers = [(64, 96), (64, 96), (96, 96), (96, 8)]
+        let layers = [(64, 96), (64, 96), (96, 96), (96, 6)]
             .map(|(input_count, output_count)| DenseLayer::zeros(input_count, output_count));
         let weights = default_weights(NumberFormat::W4A8, &layers);
         assert_eq!(weights[..3], [WeightFormat::I4; 3]);
