@@ -3,7 +3,7 @@
 
 use std::fs;
 
-use tests::{Program, assert_refused, host_trainer, trained, workplace};
+use tests::{Program, assert_refused, golden_path, host_trainer, trained, workplace};
 
 /// Exit codes of both programs.
 const WRONG_FLAGS: i32 = 2;
@@ -61,12 +61,25 @@ fn flags_that_no_run_can_have_are_refused() {
     for line in [
         "train clips",
         "quantize creature --format w4 --out new.kara",
+        "quantize creature --packing columns --out new.kara",
+        "quantize creature --time-table=-1 --out new.kara",
+        "quantize creature --time-table 65536 --out new.kara",
+        "quantize creature --time-table 2s --out new.kara",
         "generate w8a16.kara --action nod --seconds 2 --count 0 --out new",
         "reconstruct creature clips --stride 0",
         "sim compare creature w8a16.kara --draw-poses 0",
     ] {
         assert_refused(folder.path(), line, WRONG_FLAGS, &["--help"]);
     }
+}
+
+/// Binary16 blobs compute every frame.
+#[test]
+fn time_table_without_integers_is_refused() {
+    let folder = workplace();
+    let line = "quantize creature --format f16 --time-table 60 --out new.kara";
+    let says = ["--time-table", "f16", "an integer format", "leave --time-table away"];
+    assert_refused(folder.path(), line, BAD_INPUT, &says);
 }
 
 #[test]
@@ -178,12 +191,17 @@ fn damaged_blob_is_refused_by_every_reader() {
     changed[whole.len() / 2] ^= 1;
     let mut newer = whole.clone();
     newer[4] += 1;
-    let cases: [(&[u8], &str); 5] = [
+    let older = fs::read(golden_path("version-1-w8a16.kara")).expect("a committed blob");
+    let cases: [(&[u8], &str); 6] = [
         (b"", "0 bytes"),
         (b"no blob at all", "KRKR"),
         (&whole[..whole.len() - 1], "expected"),
         (&changed, "checksum"),
-        (&newer, "version 2 is newer"),
+        (&newer, "version 3 is newer"),
+        (
+            &older,
+            "version 1 is older than 2, the oldest that is understood: quantise the run again",
+        ),
     ];
     for (bytes, says) in cases {
         let folder = workplace();

@@ -1,15 +1,41 @@
-//! Blobs that were shipped keep their promise: they load, and their motions stay what they were.
+//! Blobs that were shipped keep their promise: they load, and their motions stay what they were. A blob of a version
+//! that is no longer read is refused by that name, never decoded.
 //!
 //! Why here: a device in the field cannot ask for another blob. The committed blobs are made once (`golden/README.md`
-//! has the commands) and never again, unless the format gets a new version; then they stay as old ones.
+//! has the commands) and never again, unless the format gets a new version; then one old blob stays to be refused.
 
 use firmware_sim::host::decode_cases;
 use firmware_sim::parity::F16_TOLERANCE;
-use karakuri::{Model, NumberFormat};
-use tests::{FORMATS, GOLDEN_BLOBS, Motion, assert_golden, golden_blob, golden_path, motions};
+use karakuri::blob::VERSION_OLDEST;
+use karakuri::{BlobError, Model, NumberFormat};
+use tests::{
+    FORMATS, GOLDEN_BLOBS, Motion, assert_golden, golden_blob, golden_path, host_trainer, motions,
+    repository,
+};
+
+/// `host-trainer`'s exit code for a blob that is refused.
+const BAD_BLOB: i32 = 5;
 
 /// Flash that the smallest supported parts spare for a model.
 const BLOB_BYTES_MAX: usize = 100_000;
+
+/// Its weights lie in an order that no kernel reads; the user needs the run and one command.
+#[test]
+fn blob_of_version_one_is_refused_by_its_version() {
+    let file = golden_path("version-1-w8a16.kara");
+    let blob = std::fs::read(&file).expect("a committed blob");
+    let older = BlobError::OlderVersion { found: 1, oldest: VERSION_OLDEST };
+    assert_eq!(Model::from_bytes(&blob).err(), Some(older));
+    let line = format!("inspect {}", file.display());
+    let says = ["version-1-w8a16.kara", "version 1 is older than 2", "quantise the run again"];
+    host_trainer(&repository(), &line).refused(BAD_BLOB, &says);
+}
+
+#[test]
+fn committed_blobs_are_one_of_every_format() {
+    assert_eq!(FORMATS, NumberFormat::ALL.map(NumberFormat::name));
+    assert_eq!(FORMATS, GOLDEN_BLOBS.map(|(format, _)| format));
+}
 
 #[test]
 fn committed_blobs_still_load() {
@@ -59,6 +85,7 @@ fn table_of(format: &str) -> String {
 fn integer_poses_are_the_same_bits_on_every_machine_and_for_ever() {
     assert_golden("poses-w8a16.txt", &table_of("w8a16"));
     assert_golden("poses-w8a8.txt", &table_of("w8a8"));
+    assert_golden("poses-w4a8.txt", &table_of("w4a8"));
 }
 
 /// Channel values of a table. // (pose, channel)

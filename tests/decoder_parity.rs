@@ -3,6 +3,9 @@
 //! Two questions. Does a model trained right now on this machine stay within each format's bound? Its bits depend on
 //! the machine, so bounds are all that can be asserted. And do the committed blobs err as they always did? Their
 //! integer poses are the same everywhere, and so is the golden table.
+//!
+//! 4 bits cost much here, 2.2° RMS over all servos of the committed `w4a8` blob where `w8a16` costs 0.16° and `w8a8`
+//! 0.22°: it was rounded after training, and the layers of preset `tiny` are too narrow for errors to average out.
 
 use std::fmt::Write;
 use std::fs;
@@ -15,12 +18,15 @@ use firmware_sim::host::decode_cases;
 use firmware_sim::reference::Reference;
 use indicatif::ProgressBar;
 use karakuri::{ActionId, Model, Pcg32};
-use tests::{FORMATS, Motion, assert_golden, golden_blob, golden_path, motions, trained};
+use tests::{
+    FLOAT_FORMAT, FORMATS, Motion, assert_golden, golden_blob, golden_path, motions, trained,
+};
 
 /// Least signal-to-noise ratio in dB, and largest error in degrees, for every servo together. Half of what was measured
-/// (47.2 dB and 0.092°, 40.3 dB and 0.255°, 74.1 dB and 0.005°), because training differs from machine to machine.
-const BOUNDS: [(&str, f64, f64); 3] =
-    [("w8a16", 41.0, 0.2), ("w8a8", 34.0, 0.5), ("f16", 68.0, 0.02)];
+/// (47.2 dB and 0.092°, 40.4 dB and 0.399°, 24.3 dB and 1.79°, 74.1 dB and 0.005°), because training differs from machine
+/// to machine.
+const BOUNDS: [(&str, f64, f64); 4] =
+    [("w8a16", 41.0, 0.2), ("w8a8", 34.0, 0.8), ("w4a8", 18.0, 3.6), ("f16", 68.0, 0.02)];
 
 #[test]
 fn every_format_stays_within_its_bound_after_training() {
@@ -140,12 +146,16 @@ fn error_table(errors: &[Vec<ErrorRow>]) -> String {
     let mut table =
         "errors of the committed blobs against the float model, cases of tests/cases/poses.toml\n"
             .to_owned();
-    table += "group         unit  w8a16 RMS  w8a16 max   w8a8 RMS   w8a8 max\n";
-    for (fine, coarse) in errors[0].iter().zip(&errors[1]) {
-        let cells = [fine.rms, fine.max, coarse.rms, coarse.max]
-            .map(|value| format!("{value:>11.3}"))
-            .concat();
-        let _ = writeln!(table, "{:<12} {:>5}{cells}", fine.group, fine.unit);
+    let integer = || FORMATS.iter().zip(errors).filter(|(format, _)| **format != FLOAT_FORMAT);
+    table += "group         unit";
+    for (format, _) in integer() {
+        let _ = write!(table, "{:>11}{:>11}", format!("{format} RMS"), format!("{format} max"));
     }
-    table
+    for (index, ErrorRow { group, unit, .. }) in errors[0].iter().enumerate() {
+        let _ = write!(table, "\n{group:<12} {unit:>5}");
+        for (_, rows) in integer() {
+            let _ = write!(table, "{:>11.3}{:>11.3}", rows[index].rms, rows[index].max);
+        }
+    }
+    table + "\n"
 }

@@ -24,6 +24,7 @@ fn demo_tells_the_whole_story_in_one_table() {
         "training",
         "w8a16",
         "w8a8",
+        "w4a8",
         "f16",
         "weights",
         "RAM bytes",
@@ -37,6 +38,7 @@ fn demo_tells_the_whole_story_in_one_table() {
         "motions",
         "chako-tiny-w8a16.kara",
         "chako-tiny-w8a8.kara",
+        "chako-tiny-w4a8.kara",
         "chako-tiny-f16.kara",
     ] {
         assert!(folder.path().join("demo").join(made).exists(), "no {made}: {demo}");

@@ -3,7 +3,7 @@
 //! Why here: the promise that matters most, checked where nothing but a blob and two programs is involved.
 
 use firmware_sim::parity::POSE_COUNT_MIN;
-use tests::{FORMATS, GOLDEN_BLOBS, Outcome, Program, golden_path, repository, skip};
+use tests::{FLOAT_FORMAT, GOLDEN_BLOBS, Outcome, Program, golden_path, repository, skip};
 
 /// `firmware-sim`'s exit code where QEMU or a cross-compiler is missing.
 const MISSING_TOOL: i32 = 6;
@@ -53,8 +53,8 @@ fn a_cortex_m4_decodes_the_committed_blobs_as_the_host_does() {
             "{table}"
         );
         match tolerance {
-            Some(share) => assert!(format == FORMATS[2] && share <= 1.0, "{table}"),
-            None => assert!(format != FORMATS[2] && bits("bits_differing") == 0, "{table}"),
+            Some(share) => assert!(format == FLOAT_FORMAT && share <= 1.0, "{table}"),
+            None => assert!(format != FLOAT_FORMAT && bits("bits_differing") == 0, "{table}"),
         }
     }
     println!("{table}");

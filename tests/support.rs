@@ -3,6 +3,8 @@
 //! Why here: a test should read as a sentence and a table; how a process is started is written once.
 
 // With paths, because this folder belongs to the tests: a module beside them would look like one.
+#[path = "support/checksum.rs"]
+mod checksum;
 #[path = "support/golden.rs"]
 mod golden;
 #[path = "support/program.rs"]
@@ -19,9 +21,10 @@ use std::process::Command;
 
 use tempfile::TempDir;
 
+pub use checksum::{CHECKSUM_FIELD, seal};
 pub use golden::{GOLDEN_BLOBS, Motion, assert_golden, golden_blob, golden_path, motions};
 pub use program::{Outcome, Program, assert_refused, firmware_sim, host_trainer};
-pub use trained::{FORMATS, Trained, trained, workplace};
+pub use trained::{FLOAT_FORMAT, FORMATS, Trained, trained, workplace};
 
 /// Root of the repository.
 pub fn repository() -> PathBuf {

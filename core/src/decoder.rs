@@ -24,7 +24,7 @@ use crate::workspace::{Buffers, Workspace};
 #[doc(hidden)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stage {
-    /// The sinusoids of the time embedding; skipped where the time table serves.
+    /// The sinusoids of the time embedding, or the look into the time table.
     TimeEmbedding,
     /// A layer with an ELU, by its index in the manifest.
     Layer(usize),

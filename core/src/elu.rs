@@ -88,12 +88,13 @@ impl Elu {
     #[inline]
     pub fn apply(&self, x: i32) -> i32 {
         let bits = u32::from(self.scale.fraction_bits) & 15;
-        let value = if x >= 0 {
-            x.wrapping_add((1 << bits) >> 1) >> bits
+        // The zero point lies within the range, so each side can only leave it at one end.
+        if x >= 0 {
+            let rounded = x.wrapping_add((1 << bits) >> 1) >> bits;
+            rounded.wrapping_add(self.zero_point()).min(self.range.1)
         } else {
-            -self.fall(x.unsigned_abs())
-        };
-        value.wrapping_add(self.zero_point()).clamp(self.range.0, self.range.1)
+            self.zero_point().wrapping_sub(self.fall(x.unsigned_abs())).max(self.range.0)
+        }
     }
 
     /// `1 − e^−magnitude` in stored units.

@@ -7,7 +7,7 @@
 use crate::code::Code;
 use crate::decoder::Stage;
 use crate::kernel::{self, Quad};
-use crate::layer::{Layer, Order, Sums};
+use crate::layer::{Layer, Order, Sums, fours};
 use crate::little_endian::{i16s, u32s};
 use crate::manifest::TIME_LAYER;
 use crate::model::Model;
@@ -85,17 +85,21 @@ pub(crate) fn decode<const FRAMES: usize>(
     };
     let (mut front, mut back) = (&mut *buffers.front, &mut *buffers.back);
     let next = hidden.first().unwrap_or(last);
-    if !time_half_from_table(model, positions, buffers.folded, next.order, back) {
-        embed(model, time_half, positions, front);
-        observe(Stage::TimeEmbedding);
-        let starts = buffers.folded.iter().copied();
-        activate(time_half, starts, inputs_of(time_half, front), next, back);
-    }
+    let folded = bytemuck::must_cast_slice(buffers.folded);
+    let products = match time_table_rows(model, positions) {
+        Some(rows) => Products::Stored(rows, model.manifest().time_table_shift),
+        None => {
+            embed(model, time_half, positions, front);
+            Products::Of(inputs_of(time_half, front))
+        }
+    };
+    observe(Stage::TimeEmbedding);
+    activate(time_half, folded, products, next, back);
     observe(Stage::Layer(TIME_LAYER));
     for (index, layer) in hidden.iter().enumerate() {
         core::mem::swap(&mut front, &mut back);
         let next = hidden.get(index + 1).unwrap_or(last);
-        activate(layer, layer.biases(), inputs_of(layer, front), next, back);
+        activate(layer, layer.bias, Products::Of(inputs_of(layer, front)), next, back);
         observe(Stage::Layer(TIME_LAYER + 1 + index));
     }
     write_poses(last, inputs_of(last, back), poses);
@@ -120,18 +124,34 @@ pub(crate) fn time_products(
     }
 }
 
-/// `activations = ELU(weights · input + starts)`, stored as `next` expects them.
+/// What is added to the starts of a layer's sums.
+#[derive(Clone, Copy)]
+enum Products<'a, const FRAMES: usize> {
+    /// Weights times these.
+    Of(&'a [[Quad; FRAMES]]),
+    /// Rows of the time table, and their shift.
+    Stored([&'a [u8]; FRAMES], u8),
+}
+
+/// `activations = ELU(products + starts)`, stored as `next` expects them.
+///
+/// # Shapes
+/// `starts` i32, little-endian. // (out)
+#[inline(never)]
 fn activate<const FRAMES: usize>(
     layer: &Layer<'_>,
-    starts: impl Iterator<Item = Sums>,
-    input: &[[Quad; FRAMES]],
+    starts: &[u8],
+    products: Products<'_, FRAMES>,
     next: &Layer<'_>,
     output: &mut [[Quad; FRAMES]],
 ) {
-    let blocks = layer.blocks().zip(starts).zip(layer.requantizers());
+    let blocks = layer.blocks().zip(fours(starts)).zip(layer.requantizers());
     for (index, ((block, start), requantizers)) in blocks.enumerate() {
         let mut sums = [start; FRAMES];
-        accumulate_frames(layer, block, input, &mut sums);
+        match products {
+            Products::Of(input) => accumulate_frames(layer, block, input, &mut sums),
+            Products::Stored(rows, shift) => add_stored(rows, shift, index, &mut sums),
+        }
         for (frame, mut sums) in sums.into_iter().enumerate() {
             for (sum, scale) in sums.iter_mut().zip(&requantizers) {
                 *sum = layer.elu.apply(scale.apply_narrow(*sum));
@@ -140,6 +160,21 @@ fn activate<const FRAMES: usize>(
         }
     }
     fill(layer, next, output);
+}
+
+/// Adds the stored products of the block at `index`.
+fn add_stored<const FRAMES: usize>(
+    rows: [&[u8]; FRAMES],
+    shift: u8,
+    index: usize,
+    sums: &mut [Sums; FRAMES],
+) {
+    for (row, sums) in rows.into_iter().zip(sums) {
+        let stored = i16s(row.get(8 * index..).unwrap_or_default());
+        for (sum, product) in sums.iter_mut().zip(stored) {
+            *sum = sum.wrapping_add(i32::from(product) << (shift & 15));
+        }
+    }
 }
 
 /// Activations that only fill the next layer's last tile are real zeros.
@@ -194,37 +229,16 @@ fn embed<const FRAMES: usize>(
     }
 }
 
-/// Whole frames within the blob's time table need no time half: false where one is not.
-fn time_half_from_table<const FRAMES: usize>(
-    model: &Model<'_>,
+/// The time table's rows, where every position has one.
+fn time_table_rows<'a, const FRAMES: usize>(
+    model: &Model<'a>,
     positions: [FramePosition; FRAMES],
-    folded: &[Sums],
-    order: Order,
-    output: &mut [[Quad; FRAMES]],
-) -> bool {
-    let [_, time_half, next, ..] = model.layers.as_slice() else {
-        return false;
-    };
-    if !positions.iter().all(|&position| model.time_table_row(position).is_some()) {
-        return false;
+) -> Option<[&'a [u8]; FRAMES]> {
+    let mut rows = [&[][..]; FRAMES];
+    for (row, position) in rows.iter_mut().zip(positions) {
+        *row = model.time_table_row(position)?;
     }
-    for (frame, &position) in positions.iter().enumerate() {
-        let row = model.time_table_row(position).unwrap_or_default();
-        let shift = model.manifest().time_table_shift & 15;
-        let mut products = i16s(row).map(|product| i32::from(product) << shift);
-        for (index, (&start, requantizers)) in
-            folded.iter().zip(time_half.requantizers()).enumerate()
-        {
-            let mut sums = start;
-            for (sum, scale) in sums.iter_mut().zip(&requantizers) {
-                let product = products.next().unwrap_or(0);
-                *sum = time_half.elu.apply(scale.apply_narrow(sum.wrapping_add(product)));
-            }
-            store_frame(order, output, index, frame, sums);
-        }
-    }
-    fill(time_half, next, output);
-    true
+    Some(rows)
 }
 
 /// The quads that a layer reads; `Decoder::new` has checked that the buffer is wide enough.
@@ -252,6 +266,8 @@ fn accumulate_frames<const FRAMES: usize>(
     }
 }
 
+// Once, not inlined at four places: the kernels' code is most of the decoder's size.
+#[inline(never)]
 fn accumulate(layer: &Layer<'_>, block: (&[u8], &[u8]), input: &[Quad], sums: &mut Sums) {
     let (weights, group_scales) = block;
     match layer.order {

@@ -14,13 +14,18 @@
 //! All sums wrap; the loader has proved for every row that its final sum fits.
 
 pub mod portable;
-#[cfg(any(karakuri_kernel = "armv6m", karakuri_kernel = "armv7m", karakuri_vfp))]
+#[cfg(any(
+    karakuri_kernel = "armv6m",
+    karakuri_kernel = "armv7m",
+    karakuri_kernel = "dsp",
+    karakuri_vfp
+))]
 mod assembly;
 #[cfg(karakuri_kernel = "armv6m")]
 mod armv6m;
 #[cfg(karakuri_kernel = "armv7m")]
 mod armv7m;
-#[cfg(karakuri_kernel = "dsp")]
+#[cfg(any(karakuri_kernel = "dsp", karakuri_kernel = "vector"))]
 mod dsp;
 #[cfg(karakuri_vfp)]
 mod vfp;
@@ -54,7 +59,7 @@ pub const FAMILY: &str = if cfg!(karakuri_kernel = "dsp") {
 pub const TAKES_ROWS: bool = cfg!(karakuri_rows);
 
 /// Bytes at whose multiples a blob must start: the assembly loads whole words.
-pub const ALIGNMENT: usize = if TAKES_ROWS { 1 } else { 4 };
+pub const ALIGNMENT: usize = if cfg!(karakuri_kernel = "portable") { 1 } else { 4 };
 
 #[cfg(karakuri_rows)]
 pub mod rows;
@@ -63,9 +68,10 @@ pub mod rows;
 pub use armv6m::{w4a8, w8a8, w8a8_pair, w8a16, w8a16_pair};
 #[cfg(karakuri_kernel = "armv7m")]
 pub use armv7m::{w4a8, w8a8, w8a8_pair, w8a16, w8a16_pair};
-#[cfg(karakuri_kernel = "dsp")]
+// Cores with vector instructions have the DSP extension as well: tiles, nibbles and pairs run as on the others.
+#[cfg(any(karakuri_kernel = "dsp", karakuri_kernel = "vector"))]
 pub use dsp::{w4a8, w8a8, w8a8_pair, w8a16, w8a16_pair};
-#[cfg(any(karakuri_kernel = "portable", karakuri_kernel = "vector"))]
+#[cfg(karakuri_kernel = "portable")]
 pub use portable::{w4a8, w8a8, w8a8_pair, w8a16, w8a16_pair};
 
 #[cfg(not(karakuri_vfp))]

@@ -118,9 +118,7 @@ impl<'a> Layer<'a> {
 
     /// Accumulator → next format, four rows at a time; integer formats.
     pub fn requantizers(&self) -> impl Iterator<Item = [Requantizer; BLOCK_ROWS]> + use<'a> {
-        // The loader has checked every word.
-        let requantizer =
-            |bits: i32| Requantizer::from_bits(bits.cast_unsigned()).unwrap_or(Requantizer::TINY);
+        let requantizer = |bits: i32| Requantizer::from_checked_bits(bits.cast_unsigned());
         fours(self.scales).map(move |words| words.map(requantizer))
     }
 
@@ -226,7 +224,7 @@ fn halfword_magnitudes(word: u32) -> u64 {
 }
 
 /// The `i32`s of a tensor, four at a time.
-fn fours(bytes: &[u8]) -> impl Iterator<Item = Sums> + '_ {
+pub(crate) fn fours(bytes: &[u8]) -> impl Iterator<Item = Sums> + '_ {
     bytes.chunks_exact(16).map(|bytes| {
         let mut four = [0; BLOCK_ROWS];
         four.iter_mut().zip(i32s(bytes)).for_each(|(place, number)| *place = number);

@@ -31,6 +31,12 @@ impl Requantizer {
         Some(Self(bits))
     }
 
+    /// From a word that the loader has checked; of any other the result means nothing, but nothing worse happens.
+    #[inline]
+    pub(crate) const fn from_checked_bits(bits: u32) -> Self {
+        Self(bits)
+    }
+
     /// The stored word.
     pub const fn to_bits(self) -> u32 {
         self.0
@@ -49,8 +55,9 @@ impl Requantizer {
     #[inline]
     pub const fn apply(self, accumulator: i32) -> i32 {
         // |accumulator · word| ≤ 2^31 · (2^31 − 1) and the rounding constant ≤ 2^61: the sum fits 64 bits.
-        let product = (accumulator as i64).wrapping_mul(self.0 as i64);
-        let rounded = product.wrapping_add(1 << (self.right() - 1)) >> self.right();
+        let product = (accumulator as i64).wrapping_mul(self.0.cast_signed() as i64);
+        let half = 1i64 << (self.right().wrapping_sub(1) & RIGHT_BITS);
+        let rounded = product.wrapping_add(half) >> self.right();
         if rounded > i32::MAX as i64 {
             i32::MAX
         } else if rounded < i32::MIN as i64 {
@@ -64,7 +71,9 @@ impl Requantizer {
     /// third of its instructions: the lower half of the product cannot change the result, and none can overflow.
     #[inline]
     pub const fn apply_narrow(self, accumulator: i32) -> i32 {
-        let high = ((accumulator as i64).wrapping_mul(self.0 as i64) >> 32) as i32;
+        // A signed 32-bit product's upper half is one instruction where there is DSP.
+        let product = (accumulator as i64).wrapping_mul(self.0.cast_signed() as i64);
+        let high = (product >> 32) as i32;
         // Half of what is shifted out is added as a 1 between two shifts.
         let shifted = high >> (self.right().wrapping_sub(Self::NARROW_RIGHT_MIN) & 31);
         shifted.wrapping_add(1) >> 1

@@ -2,16 +2,18 @@
 //!
 //! In:  the environment: `KARAKURI_BLOB` and `KARAKURI_CASES`, paths; `KARAKURI_WIDTH`, the number of activations of
 //!      the widest layer; `KARAKURI_MEMORY`, a file name in `memory/` (default `mps2.x`).
-//! Out: `inputs.rs` and `memory.x` in `OUT_DIR`.
+//! Out: `inputs.rs`, `width.rs` and `memory.x` in `OUT_DIR`.
 //!
-//! Why here: `firmware_sim::firmware` sets what a program needs. Who builds by hand gets told what is missing.
+//! Why here: `firmware_sim::firmware` sets what a program needs. Who builds by hand gets told what is missing, by the
+//! programs that need it: `decode_cases` all, the benchmarks the width, `check_kernels` nothing.
 
 use std::{env, fs, path::Path};
 
 fn main() {
-    let out_dir = variable("OUT_DIR", "");
+    let out_dir = env::var("OUT_DIR").expect("cargo sets OUT_DIR");
     let out_dir = Path::new(&out_dir);
-    fs::write(out_dir.join("inputs.rs"), inputs()).expect("OUT_DIR can be written");
+    fs::write(out_dir.join("inputs.rs"), or_error(inputs())).expect("OUT_DIR can be written");
+    fs::write(out_dir.join("width.rs"), or_error(width())).expect("OUT_DIR can be written");
 
     println!("cargo:rerun-if-env-changed=KARAKURI_MEMORY");
     let map = env::var("KARAKURI_MEMORY").unwrap_or_else(|_| "mps2.x".to_owned());
@@ -21,30 +23,37 @@ fn main() {
     println!("cargo:rustc-link-search={}", out_dir.display());
 }
 
-/// Rust text of what `decode_cases` reads; without a blob, an error for who builds it. `check_kernels` needs none.
-fn inputs() -> String {
-    let what = "run `firmware-sim run model.kara`, which builds this program with its inputs";
-    println!("cargo:rerun-if-env-changed=KARAKURI_BLOB");
-    if env::var_os("KARAKURI_BLOB").is_none() {
-        return format!("compile_error!(\"KARAKURI_BLOB is not set; {what}\");");
-    }
-    let blob_path = input_path(&variable("KARAKURI_BLOB", what));
-    let cases_path = input_path(&variable("KARAKURI_CASES", what));
-    let width: usize =
-        variable("KARAKURI_WIDTH", what).parse().expect("KARAKURI_WIDTH is a number");
-    format!(
+/// Rust text, or an error for who builds a program that includes it.
+fn or_error(text: Result<String, String>) -> String {
+    text.unwrap_or_else(|missing| {
+        let remedy = "run `firmware-sim run model.kara` or `bench`, which build the programs";
+        format!("compile_error!(\"{missing}; {remedy} with their inputs\");")
+    })
+}
+
+/// What `decode_cases` decodes.
+fn inputs() -> Result<String, String> {
+    let blob_path = input_path(&variable("KARAKURI_BLOB")?);
+    let cases_path = input_path(&variable("KARAKURI_CASES")?);
+    Ok(format!(
         "/// The blob under test.\n\
          static BLOB: &Aligned<[u8]> = &Aligned(*include_bytes!({blob_path:?}));\n\
          /// Its cases, in the format of `case.rs`.\n\
-         static CASES: &[u8] = include_bytes!({cases_path:?});\n\
-         /// Activations of the widest layer.\n\
-         const WORKSPACE_WIDTH: usize = {width};\n"
-    )
+         static CASES: &[u8] = include_bytes!({cases_path:?});\n"
+    ))
 }
 
-fn variable(name: &str, remedy: &str) -> String {
+/// The size of the workspace.
+fn width() -> Result<String, String> {
+    let width = variable("KARAKURI_WIDTH")?;
+    let width: usize = width.parse().map_err(|error| format!("KARAKURI_WIDTH={width}: {error}"))?;
+    let doc = "/// Activations of the widest layer.";
+    Ok(format!("{doc}\nconst WORKSPACE_WIDTH: usize = {width};\n"))
+}
+
+fn variable(name: &str) -> Result<String, String> {
     println!("cargo:rerun-if-env-changed={name}");
-    env::var(name).unwrap_or_else(|error| panic!("{name}: {error}; {remedy}"))
+    env::var(name).map_err(|error| format!("{name}: {error}"))
 }
 
 /// An absolute path that `include_bytes!` in `OUT_DIR` can use.

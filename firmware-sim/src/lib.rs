@@ -17,6 +17,14 @@ pub mod qemu;
 pub mod transcript;
 pub mod parity;
 
+// bench: network → blob → firmware and plugin → QEMU → counts, by region and by source → row
+pub mod network;
+pub mod synthetic;
+pub mod plugin;
+pub mod region_counts;
+pub mod executable;
+pub mod benchmark;
+
 // compare: checkpoint and blob that belong together → reference → pairs of poses → error table
 pub mod checkpoint;
 pub mod belonging;

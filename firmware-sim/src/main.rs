@@ -3,7 +3,7 @@
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
-use firmware_sim::commands::{compare, run, trace};
+use firmware_sim::commands::{bench, compare, run, trace};
 
 /// Proves that the chip does what the float model did.
 #[derive(Parser)]
@@ -22,6 +22,8 @@ enum Verb {
     Run(run::RunArgs),
     /// Tabulate the error of a blob against the float model that it was made of
     Compare(compare::CompareArgs),
+    /// Count what a motion costs on emulated chips: instructions, flash, RAM
+    Bench(bench::BenchArgs),
     /// Write what the servos of a robot would be told, tick by tick, without a robot
     Trace(trace::TraceArgs),
 }
@@ -30,6 +32,7 @@ fn main() -> ExitCode {
     let outcome = match Arguments::parse().verb {
         Verb::Run(arguments) => run::run(&arguments),
         Verb::Compare(arguments) => compare::run(&arguments).map(|()| true),
+        Verb::Bench(arguments) => bench::run(&arguments).map(|()| true),
         Verb::Trace(arguments) => trace::run(&arguments).map(|()| true),
     };
     match outcome {

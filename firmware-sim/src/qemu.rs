@@ -1,10 +1,11 @@
 //! Runs a bare-metal program in QEMU and hands over what it prints.
 //!
-//! In:  an ELF file from `firmware.rs`.
+//! In:  an ELF file from `firmware.rs`; for a benchmark also a blob and the plugin of `plugin.rs`.
 //! Out: its standard output, line by line, while it runs.
 //!
 //! Why here: the only file that starts the emulator. It always ends it too, also after a fault.
 
+use std::ffi::OsString;
 use std::io::{self, BufRead, BufReader, Read};
 use std::path::Path;
 use std::process::{Child, ChildStdout, Command, Stdio};
@@ -32,13 +33,36 @@ pub struct Qemu<'a> {
     pub silence_max: Duration,
 }
 
+/// What a run has beside its program.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Extras<'a> {
+    /// A file that lies in memory before reset, and where.
+    pub memory: Option<(&'a Path, u64)>,
+    /// A plugin and the file that it writes.
+    pub plugin: Option<(&'a Path, &'a Path)>,
+}
+
 impl Qemu<'_> {
     /// Runs `elf` to its end and calls `on_line` with each line of its standard output.
     ///
     /// # Errors
     /// [`Error::MissingTool`] without the emulator; [`Error::Firmware`] after a non-zero exit code or a long silence.
     pub fn run(&self, elf: &Path, target: Target, on_line: impl FnMut(&str)) -> Result<()> {
-        Guest(self.start(elf, target)?).watch(self.silence_max, on_line)
+        self.run_with(Extras::default(), elf, target, on_line)
+    }
+
+    /// [`run`](Self::run), with more than the program.
+    ///
+    /// # Errors
+    /// As [`run`](Self::run).
+    pub fn run_with(
+        &self,
+        extras: Extras<'_>,
+        elf: &Path,
+        target: Target,
+        on_line: impl FnMut(&str),
+    ) -> Result<()> {
+        Guest(self.start(extras, elf, target)?).watch(self.silence_max, on_line)
     }
 
     /// Finds out before a long build.
@@ -46,16 +70,26 @@ impl Qemu<'_> {
     /// # Errors
     /// [`Error::MissingTool`].
     pub fn check_installed(&self) -> Result<()> {
-        let output = Command::new(self.program).arg("--version").output();
-        output.map(drop).map_err(|error| self.cannot_start(error))
+        self.version().map(drop)
     }
 
-    fn start(&self, elf: &Path, target: Target) -> Result<Child> {
+    /// What it says about its version.
+    ///
+    /// # Errors
+    /// [`Error::MissingTool`].
+    pub fn version(&self) -> Result<String> {
+        let output = Command::new(self.program).arg("--version").output();
+        let output = output.map_err(|error| self.cannot_start(error))?;
+        Ok(String::from_utf8_lossy(&output.stdout).into_owned())
+    }
+
+    fn start(&self, extras: Extras<'_>, elf: &Path, target: Target) -> Result<Child> {
         Command::new(self.program)
             .args(["-machine", target.machine(), "-cpu", target.emulated_core()])
             .args(["-display", "none", "-monitor", "none", "-serial", "null"])
             .args(["-semihosting-config", "enable=on,target=native", "-kernel"])
             .arg(elf)
+            .args(extras.arguments())
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
@@ -72,6 +106,26 @@ impl Qemu<'_> {
             remedy: "on Debian and Ubuntu run `apt-get install -y qemu-system-arm`".to_owned(),
         }
     }
+}
+
+impl Extras<'_> {
+    fn arguments(&self) -> Vec<OsString> {
+        let memory = self.memory.map(|(file, address)| {
+            let head = OsString::from("loader,force-raw=on,file=");
+            let tail = OsString::from(format!(",addr={address:#x}"));
+            ["-device".into(), [head, option_value(file), tail].into_iter().collect()]
+        });
+        let plugin = self.plugin.map(|(file, out)| {
+            let parts = [option_value(file), ",out=".into(), option_value(out)];
+            ["-plugin".into(), parts.into_iter().collect()]
+        });
+        memory.into_iter().chain(plugin).flatten().collect()
+    }
+}
+
+/// A path inside a list of options, where QEMU takes a comma for the end of a value unless it is doubled.
+fn option_value(path: &Path) -> OsString {
+    path.to_string_lossy().replace(',', ",,").into()
 }
 
 /// A running emulator that does not outlive its owner.
@@ -193,6 +247,14 @@ mod tests {
         for part in ["101", "error blob", "panicked"] {
             assert!(error.contains(part), "{error}");
         }
+    }
+
+    #[test]
+    fn path_with_a_comma_stays_one_path() {
+        let path = Path::new("a,b");
+        let extras = Extras { memory: Some((path, 0x40000)), plugin: Some((path, path)) };
+        let device = "loader,force-raw=on,file=a,,b,addr=0x40000";
+        assert_eq!(extras.arguments(), ["-device", device, "-plugin", "a,,b,out=a,,b"]);
     }
 
     #[test]

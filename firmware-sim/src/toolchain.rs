@@ -9,6 +9,7 @@
 //!
 //! Source: the cargo book, "build-std"; Debian's packages rustc-web, cargo-web and rust-web-src.
 
+use std::env;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -102,6 +103,15 @@ impl Toolchain {
         Some(Self { target, cargo, rustc, library, linker })
     }
 
+    /// What the compiler says about its version.
+    ///
+    /// # Errors
+    /// [`Error::MissingTool`] if it has gone.
+    pub fn compiler(&self, folder: &Path) -> Result<String> {
+        answer(clean_command(&self.rustc).arg("--version").current_dir(folder))
+            .ok_or_else(|| missing(self.target))
+    }
+
     /// `cargo build --release` for the target, to be completed with the program's own arguments.
     pub fn build_command(&self) -> Command {
         let mut command = clean_command(&self.cargo);
@@ -110,6 +120,7 @@ impl Toolchain {
             command.env("RUSTC", &self.rustc);
         }
         let mut flags = vec!["-C".to_owned(), format!("target-cpu={}", self.target.name())];
+        flags.extend(remapped_paths());
         if self.linker == Linker::Gnu {
             flags.extend(["-C".to_owned(), "linker-flavor=ld".to_owned()]);
             command.arg("--config").arg(setting("linker", &format!("{GNU_LINKER:?}")));
@@ -120,6 +131,16 @@ impl Toolchain {
         }
         command
     }
+}
+
+/// Panics carry the paths of sources; without the part that differs, every machine makes the same program.
+fn remapped_paths() -> impl Iterator<Item = String> {
+    let repository = Path::new(env!("CARGO_MANIFEST_DIR")).parent().map(Path::to_owned);
+    let home = env::var_os("CARGO_HOME").map(PathBuf::from);
+    let home = home.or_else(|| Some(env::home_dir()?.join(".cargo")));
+    let pairs = [(repository, "karakuri"), (home, "cargo")];
+    let named = pairs.into_iter().filter_map(|(path, name)| Some((path?, name)));
+    named.map(|(path, name)| format!("--remap-path-prefix={}={name}", path.display()))
 }
 
 /// A setting for every bare-metal target: cargo does not find a key with a dot, which Armv8-M's triple has.
@@ -194,11 +215,12 @@ mod tests {
         let arguments: Vec<_> = command.get_args().map(|text| text.to_string_lossy()).collect();
         let expected = [
             r#"target.'cfg(target_os = "none")'.linker="arm-none-eabi-ld""#,
-            r#"target.'cfg(target_os = "none")'.rustflags=["-C", "target-cpu=cortex-m4", "-C", "linker-flavor=ld"]"#,
+            r#"target.'cfg(target_os = "none")'.rustflags=["-C", "target-cpu=cortex-m4", "#,
+            r#""-C", "linker-flavor=ld"]"#,
             "-Zbuild-std=core",
         ];
         for argument in expected {
-            assert!(arguments.iter().any(|found| found == argument), "{arguments:?}");
+            assert!(arguments.iter().any(|found| found.contains(argument)), "{arguments:?}");
         }
     }
 }

@@ -18,6 +18,7 @@ pub mod half_layers;
 pub mod integer_layers;
 pub mod sampler;
 pub mod time_table;
+pub mod flash_budget;
 
 use std::f64::consts::TAU;
 
@@ -97,15 +98,55 @@ impl QuantizeOptions {
     }
 }
 
+/// How the inputs of the layers after the time half are stored, and what to correct biases with.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct HiddenInputs {
+    /// // (hidden layer)
+    pub scales: Vec<InputScale>,
+    /// Mean of each input; empty where there is nothing to correct. // (hidden layer)(input)
+    pub means: Vec<Vec<f32>>,
+}
+
+impl HiddenInputs {
+    /// As tuning has settled it, otherwise calibrated; empty for `f16`.
+    ///
+    /// # Errors
+    /// Those of [`calibration_cases`].
+    pub fn new(input: &QuantizeInput<'_>, format: NumberFormat) -> Result<Self> {
+        if format == NumberFormat::F16 {
+            return Ok(Self::default());
+        }
+        // Tuning has learned biases for the very weights; there is nothing to correct.
+        if let Some(scales) = input.tuned {
+            return Ok(Self { scales: scales.to_vec(), means: vec![Vec::new(); scales.len()] });
+        }
+        let observed = observe_activations(input)?;
+        let scales = activation_scales(&observed, format);
+        Ok(Self { scales, means: observed.into_iter().map(|observed| observed.mean).collect() })
+    }
+}
+
 /// Quantises a checkpoint.
 ///
 /// # Errors
 /// A shape beyond `karakuri::limits`, or a weight that the format cannot hold; each names what to change.
 pub fn quantize(input: &QuantizeInput<'_>, options: &QuantizeOptions) -> Result<Quantized> {
+    quantize_with(input, options, &HiddenInputs::new(input, options.format)?)
+}
+
+/// [`quantize`] with what calibration has already found.
+///
+/// # Errors
+/// Those of [`quantize`].
+pub fn quantize_with(
+    input: &QuantizeInput<'_>,
+    options: &QuantizeOptions,
+    hidden: &HiddenInputs,
+) -> Result<Quantized> {
     let fraction_bits = code_fraction_bits([input.sequence_codes, input.action_codes]);
     let layers = split_layers(input.model, input.dataset);
     check_fits(&layers, input)?;
-    let stored = store_layers(input, options, &layers, fraction_bits)?;
+    let stored = store_layers(options, &layers, hidden, fraction_bits)?;
     let mut blob = assemble(input, options, &stored, fraction_bits, None)?;
     if options.time_table_frames > 0 {
         // The table is made by the device's own arithmetic, from the blob that has none.
@@ -116,29 +157,20 @@ pub fn quantize(input: &QuantizeInput<'_>, options: &QuantizeOptions) -> Result<
 }
 
 fn store_layers(
-    input: &QuantizeInput<'_>,
     options: &QuantizeOptions,
     layers: &[DenseLayer],
+    hidden: &HiddenInputs,
     code_fraction_bits: u8,
 ) -> Result<StoredLayers> {
     if options.format == NumberFormat::F16 {
         return half_layers(layers);
     }
     let (format, packing) = (options.format, options.packing);
-    let (hidden, means) = match input.tuned {
-        // Tuning has learned biases for the very weights; there is nothing to correct.
-        Some(hidden) => (hidden.to_vec(), vec![Vec::new(); hidden.len()]),
-        None => {
-            let observed = observe_activations(input)?;
-            let hidden = activation_scales(&observed, format);
-            (hidden, observed.into_iter().map(|observed| observed.mean).collect())
-        }
-    };
     let weights = options.weights.clone().unwrap_or_else(|| default_weights(format, layers));
     integer_layers(IntegerInput {
         layers,
-        hidden: &hidden,
-        means: &means,
+        hidden: &hidden.scales,
+        means: &hidden.means,
         format,
         packing,
         weights: &weights,

@@ -36,10 +36,11 @@ pub fn assert_golden(name: &str, actual: &str) {
     );
 }
 
-/// The committed blobs: one small model of the built-in character in every number format.
-pub const GOLDEN_BLOBS: [(&str, &str); 3] = [
+/// The committed blobs: one small model of the built-in character in every number format, in the order of `FORMATS`.
+pub const GOLDEN_BLOBS: [(&str, &str); 4] = [
     ("w8a16", "creature-tiny-w8a16.kara"),
     ("w8a8", "creature-tiny-w8a8.kara"),
+    ("w4a8", "creature-tiny-w4a8.kara"),
     ("f16", "creature-tiny-f16.kara"),
 ];
 

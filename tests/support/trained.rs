@@ -9,8 +9,11 @@ use tempfile::TempDir;
 
 use super::{host_trainer, sandbox};
 
-/// Number formats by their names on the command line.
-pub const FORMATS: [&str; 3] = ["w8a16", "w8a8", "f16"];
+/// Number formats by their names on the command line, in the order of `NumberFormat::ALL`.
+pub const FORMATS: [&str; 4] = ["w8a16", "w8a8", "w4a8", "f16"];
+
+/// The format that rests on floating point: no promise of the same bits.
+pub const FLOAT_FORMAT: &str = "f16";
 
 /// Settings of the runs that tests train: preset `tiny` with an end after seconds.
 pub const QUICK_CONFIG: &str = "[decoder]\nhidden_widths = [32, 24]\n[budget]\nsteps = 300\n";

@@ -16,7 +16,7 @@
 
 #![allow(unsafe_code)]
 
-#[cfg(any(karakuri_kernel = "armv6m", karakuri_kernel = "armv7m"))]
+#[cfg(not(karakuri_kernel = "portable"))]
 pub mod nibbles;
 
 /// A kernel: aligned weights, activations, how many units there are of both (at least one), sums.
@@ -49,6 +49,7 @@ pub fn run<const UNIT_BYTES: usize, Activations, Sums>(
 }
 
 #[cold]
+#[inline(never)]
 fn run_by_unit<const UNIT_BYTES: usize, Activations, Sums>(
     kernel: Kernel<Activations, Sums>,
     weights: &[u8],

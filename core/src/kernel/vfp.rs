@@ -18,6 +18,7 @@ use super::assembly::run;
 // Registers:
 //   r0 weight  r1 activation  r2 columns left  r3 sums in memory
 //   s0-s3 sums  s4-s7 weights of a column in f32  s8-s15 activations  s16-s31 weights of eight columns
+// `.fpu`: the assembler does not see which FPU the target has; this is the least of all, a part of the others.
 global_asm!(
     r#"
     .syntax unified

@@ -1,5 +1,6 @@
 //! One file per verb of the command line: reads files, shows progress, prints the result.
 
+pub mod bench;
 pub mod compare;
 pub mod run;
 pub mod trace;

@@ -287,16 +287,18 @@ fn products_table(products: &[Product], verdicts: &[String]) -> Table {
 }
 
 fn parts_table(products: &[Product]) -> String {
-    let mut table = Table::new(["bytes by part", "w8a16", "w8a8", "f16"]);
-    let bytes = |product: &Product, part: &str| {
-        let found = product.report.parts.iter().find(|report| report.part == part);
-        found.map_or_else(|| "–".into(), |report| thousands(report.bytes))
-    };
+    // By pattern, so that a new format does not compile before it has a column.
+    let [a, b, c, d] = NumberFormat::ALL.map(NumberFormat::name);
+    let mut table = Table::new(["bytes by part", a, b, c, d]);
     for part in &products[0].report.parts {
-        let cells: Vec<String> = products.iter().map(|product| bytes(product, part.part)).collect();
-        if let [w8a16, w8a8, f16] = cells.as_slice() {
-            table.push([part.part.into(), w8a16.clone(), w8a8.clone(), f16.clone()]);
-        }
+        let bytes = |format: NumberFormat| {
+            let of_format = products.iter().filter(|made| made.report.format == format.name());
+            let mut parts = of_format.flat_map(|made| &made.report.parts);
+            let found = parts.find(|found| found.part == part.part);
+            found.map_or_else(|| "–".into(), |found| thousands(found.bytes))
+        };
+        let [a, b, c, d] = NumberFormat::ALL.map(bytes);
+        table.push([part.part.into(), a, b, c, d]);
     }
     table.to_string()
 }

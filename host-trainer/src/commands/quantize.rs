@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use indicatif::{ProgressBar, ProgressStyle};
 use karakuri::NumberFormat;
 use karakuri::manifest::{Packing, Provenance, SamplerKind};
 
@@ -11,6 +12,7 @@ use crate::error::Result;
 use crate::inspect::blob::BlobReport;
 use crate::mixture;
 use crate::mixture::set::MixtureSet;
+use crate::quantize::flash_budget::{FlashBudget, quantize_within};
 use crate::quantize::layer::InputScale;
 use crate::quantize::{QuantizeInput, QuantizeOptions, Quantized, quantize};
 use crate::stdout::{print, print_json};
@@ -39,6 +41,10 @@ pub struct QuantizeArgs {
     /// size, for 2 bytes a frame and output of layer 1.
     #[arg(long, value_name = "FRAMES", default_value_t = 0)]
     pub time_table: u16,
+    /// Fit the blob into so much flash (bytes, or 256K, 1M): picks 4- or 8-bit weights for each layer at the least
+    /// error and prints the trade-off curve. Activations have 8 bits.
+    #[arg(long, value_name = "SIZE", value_parser = parse_size, conflicts_with = "format")]
+    pub flash: Option<usize>,
     /// Replace an existing file.
     #[arg(long)]
     pub force: bool,
@@ -125,26 +131,65 @@ pub fn run(args: &QuantizeArgs) -> Result<()> {
     let checkpoint = Checkpoint::load(&args.run)?;
     let mixtures = mixture::file::of_checkpoint(&args.run, &checkpoint)?;
     let name = args.run.file_name().map_or_else(|| "model".into(), |name| name.to_string_lossy());
-    let quantized = quantize_checkpoint(&name, &checkpoint, &mixtures, &args.options())?;
+    let (quantized, flash_budget) = match args.flash {
+        None => (quantize_checkpoint(&name, &checkpoint, &mixtures, &args.options())?, None),
+        Some(bytes_max) => {
+            let input = input_of(&name, &checkpoint, &mixtures, None);
+            let progress = progress_bar();
+            let within = quantize_within(&input, &args.options(), bytes_max, &progress)?;
+            (within.0, Some(within.1))
+        }
+    };
     atomic_file::write(&args.out, &quantized.blob, overwrite)?;
-    let report = BlobReport::new(&args.out, &quantized.blob)?;
+    let blob = BlobReport::new(&args.out, &quantized.blob)?;
     if args.json {
-        return print_json(&report);
-    }
-    print(&report)?;
-    if !quantized.accumulator_use.is_empty() {
-        let shares: Vec<String> = quantized
-            .accumulator_use
-            .iter()
-            .map(|share| format!("{:.0} %", 100.0 * share))
-            .collect();
-        let shares = shares.join("  ");
-        print(format_args!(
-            "\naccumulators proven to stay below 2^31, worst row of each layer: {shares}\n"
-        ))?;
+        print_json(&Report { blob, flash_budget })?;
+    } else {
+        print(&blob)?;
+        print_accumulator_use(&quantized.accumulator_use)?;
+        flash_budget.iter().try_for_each(print)?;
     }
     eprintln!("wrote {}", args.out.display());
     Ok(())
+}
+
+/// On stderr; its length is set by what reports to it.
+fn progress_bar() -> ProgressBar {
+    let style = ProgressStyle::with_template("{bar:40} {pos}/{len} layers priced {elapsed}");
+    ProgressBar::new(0).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
+}
+
+/// What `--json` prints.
+#[derive(serde::Serialize)]
+struct Report {
+    #[serde(flatten)]
+    blob: BlobReport,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    flash_budget: Option<FlashBudget>,
+}
+
+fn print_accumulator_use(accumulator_use: &[f64]) -> Result<()> {
+    if accumulator_use.is_empty() {
+        return Ok(());
+    }
+    let percent = |share: &f64| format!("{:.0} %", 100.0 * share);
+    let shares: Vec<String> = accumulator_use.iter().map(percent).collect();
+    print(format_args!(
+        "\naccumulators proven to stay below 2^31, worst row of each layer: {}\n",
+        shares.join("  ")
+    ))
+}
+
+/// `250000`, `256K` or `1M`; K and M count by 1024.
+fn parse_size(text: &str) -> std::result::Result<usize, String> {
+    let (digits, unit) = match text.as_bytes().last() {
+        Some(b'k' | b'K') => (&text[..text.len() - 1], 1 << 10),
+        Some(b'm' | b'M') => (&text[..text.len() - 1], 1 << 20),
+        _ => (text, 1),
+    };
+    let number: Option<usize> = digits.parse().ok();
+    let bytes = number.filter(|&number| number > 0).and_then(|number| number.checked_mul(unit));
+    bytes.ok_or_else(|| "expected bytes as 250000, 256K or 1M".to_owned())
 }
 
 /// [`quantize`] for a whole checkpoint.
@@ -155,20 +200,28 @@ pub fn quantize_checkpoint(
     options: &QuantizeOptions,
 ) -> Result<Quantized> {
     let tuned = tuned_activations(checkpoint, options.format);
-    let input = QuantizeInput {
+    quantize(&input_of(name, checkpoint, mixtures, tuned.as_deref()), options)
+}
+
+fn input_of<'a>(
+    name: &'a str,
+    checkpoint: &'a Checkpoint,
+    mixtures: &'a MixtureSet,
+    tuned: Option<&'a [InputScale]>,
+) -> QuantizeInput<'a> {
+    QuantizeInput {
         name,
         model: &checkpoint.model,
         sequence_codes: &checkpoint.sequence_codes,
         action_codes: &checkpoint.action_codes,
         dataset: &checkpoint.dataset,
         mixtures,
-        tuned: tuned.as_deref(),
+        tuned,
         provenance: Provenance {
             config_hash: checkpoint.config.config_hash(),
             seed: checkpoint.config.seed,
         },
-    };
-    quantize(&input, options)
+    }
 }
 
 /// How tuning for this very format has settled that activations are stored.

@@ -18,7 +18,7 @@ use crate::table::{Table, thousands};
 pub struct BlobReport {
     /// What the model was trained on.
     pub name: String,
-    /// `w8a16`, `w8a8` or `f16`.
+    /// `w8a16`, `w8a8`, `w4a8` or `f16`.
     pub format: &'static str,
     /// Poses per second.
     pub rate_hz: f64,

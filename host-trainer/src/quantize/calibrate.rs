@@ -80,15 +80,30 @@ pub fn calibrate(model: &FloatModel, cases: &[CalibrationCase]) -> Vec<Observed>
     (0..model.layers.len() - 1).map(|layer| summarize(&inputs, layer)).collect()
 }
 
+/// The pose of a code at a frame, in standardised channels.
+pub fn decode_float(model: &FloatModel, code: &[f32], frame: f64) -> Vec<f32> {
+    let mut values = first_inputs(model, code, frame);
+    let (last, hidden) = model.layers.split_last().expect("a model has layers");
+    for layer in hidden {
+        values = elu_layer(layer, &values);
+    }
+    dense(last, &values)
+}
+
+/// β, α, τ(t).
+fn first_inputs(model: &FloatModel, code: &[f32], frame: f64) -> Vec<f32> {
+    let sinusoids = model.frequencies_rad.iter().flat_map(|rate_rad| {
+        let (sine, cosine) = (rate_rad * frame).sin_cos();
+        [sine as f32, cosine as f32]
+    });
+    code.iter().copied().chain(sinusoids).collect()
+}
+
 /// Inputs of every layer after the first, for every frame of a case. // (frame)(layer - 1)(input)
 fn observe(model: &FloatModel, case: &CalibrationCase) -> Vec<Vec<Vec<f32>>> {
     let observe_frame = |&frame: &f64| {
         let mut inputs = Vec::with_capacity(model.layers.len() - 1);
-        let mut values = case.code.clone();
-        for rate_rad in &model.frequencies_rad {
-            let (sine, cosine) = (rate_rad * frame).sin_cos();
-            values.extend([sine as f32, cosine as f32]);
-        }
+        let mut values = first_inputs(model, &case.code, frame);
         for layer in &model.layers[..model.layers.len() - 1] {
             values = elu_layer(layer, &values);
             inputs.push(values.clone());
@@ -99,10 +114,13 @@ fn observe(model: &FloatModel, case: &CalibrationCase) -> Vec<Vec<Vec<f32>>> {
 }
 
 fn elu_layer(layer: &DenseLayer, input: &[f32]) -> Vec<f32> {
+    let elu = |sum: f32| if sum >= 0.0 { sum } else { sum.exp_m1() };
+    dense(layer, input).into_iter().map(elu).collect()
+}
+
+fn dense(layer: &DenseLayer, input: &[f32]) -> Vec<f32> {
     let row = |(weights, bias): (&[f32], &f32)| {
-        let products = weights.iter().zip(input).map(|(weight, value)| weight * value);
-        let sum = products.sum::<f32>() + bias;
-        if sum >= 0.0 { sum } else { sum.exp_m1() }
+        weights.iter().zip(input).map(|(weight, value)| weight * value).sum::<f32>() + bias
     };
     layer.weights.chunks_exact(layer.input_count).zip(&layer.bias).map(row).collect()
 }

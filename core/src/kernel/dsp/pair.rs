@@ -11,10 +11,9 @@
 
 use core::arch::global_asm;
 
-use super::run;
-use crate::kernel::Quad;
 #[cfg(doc)]
 use crate::kernel::portable;
+use crate::kernel::{Quad, TILE_BYTES, assembly::run};
 
 unsafe extern "C" {
     fn karakuri_dsp_w8a16_pair(
@@ -33,12 +32,12 @@ unsafe extern "C" {
 
 /// [`portable::w8a16_pair`]: 28 instructions a tile, and 4 every 8 tiles.
 pub fn w8a16_pair(tiles: &[u8], quads: &[[Quad; 2]], sums: &mut [[i32; 4]; 2]) {
-    run(karakuri_dsp_w8a16_pair, tiles, quads, sums);
+    run::<TILE_BYTES, _, _>(karakuri_dsp_w8a16_pair, tiles, quads, sums);
 }
 
 /// [`portable::w8a8_pair`]: 24 instructions a tile, and 4 every 8 tiles.
 pub fn w8a8_pair(tiles: &[u8], quads: &[[Quad; 2]], sums: &mut [[i32; 4]; 2]) {
-    run(karakuri_dsp_w8a8_pair, tiles, quads, sums);
+    run::<TILE_BYTES, _, _>(karakuri_dsp_w8a8_pair, tiles, quads, sums);
 }
 
 // r0 tiles, r1 quads, r2 tiles left, r3 bytes 1 and 3, r4-r7 quads of frame A and B, r8 and r9 weights of two rows,

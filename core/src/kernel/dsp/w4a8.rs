@@ -6,18 +6,13 @@
 //! Why here: the word itself, shifted left three times, is all the unpacking there is: 7 instructions for 8 products.
 //!
 //! # Safety
-//! As in [`dsp`](super). `count` octets lie in both the weights and the activations, and every 8 of them, the last ones
-//! included, have scales.
+//! As in [`dsp`](super). A group's scales are read after its last octet, those of a shorter last group, too.
 
 use core::arch::global_asm;
 
-use super::{Aligned, is_aligned};
 #[cfg(doc)]
 use crate::kernel::portable;
-use crate::kernel::{GROUP_SCALE_BYTES, GROUP_TILES, Quad, TILE_BYTES};
-
-/// Bytes of a whole group.
-const GROUP_BYTES: usize = GROUP_TILES * TILE_BYTES;
+use crate::kernel::{Quad, assembly::nibbles};
 
 unsafe extern "C" {
     fn karakuri_dsp_w4a8(
@@ -31,34 +26,7 @@ unsafe extern "C" {
 
 /// [`portable::w4a8`]: 250 instructions a group of 64 columns.
 pub fn w4a8(tiles: &[u8], scales: &[u8], quads: &[Quad], sums: &mut [i32; 4]) {
-    if is_aligned(tiles) && is_aligned(scales) {
-        run(tiles, scales, quads, sums);
-    } else {
-        run_by_group(tiles, scales, quads, sums);
-    }
-}
-
-/// Calls the kernel with what all sides have; tiles and scales are aligned.
-#[inline]
-fn run(tiles: &[u8], scales: &[u8], quads: &[Quad], sums: &mut [i32; 4]) {
-    let scaled = scales.len() / GROUP_SCALE_BYTES * GROUP_TILES;
-    let count = (tiles.len() / TILE_BYTES).min(quads.len() / 2).min(scaled);
-    // SAFETY: `count` tiles, twice as many quads and their scales exist; both are aligned; see the module.
-    unsafe { karakuri_dsp_w4a8(tiles.as_ptr(), quads.as_ptr(), count, sums, scales.as_ptr()) }
-}
-
-/// The same from any address, one copied group at a time.
-#[cold]
-fn run_by_group(tiles: &[u8], scales: &[u8], quads: &[Quad], sums: &mut [i32; 4]) {
-    let groups = tiles.chunks(GROUP_BYTES).zip(quads.chunks(2 * GROUP_TILES));
-    for ((tiles, quads), scales) in groups.zip(scales.chunks_exact(GROUP_SCALE_BYTES)) {
-        let mut group = Aligned([0; GROUP_BYTES]);
-        group.0.iter_mut().zip(tiles).for_each(|(copy, byte)| *copy = *byte);
-        let mut group_scales = Aligned([0; GROUP_SCALE_BYTES]);
-        group_scales.0.copy_from_slice(scales);
-        let whole_tiles = quads.get(..tiles.len() / TILE_BYTES * 2).unwrap_or(quads);
-        run(&group.0, &group_scales.0, whole_tiles, sums);
-    }
+    nibbles::run(karakuri_dsp_w4a8, tiles, scales, quads, sums);
 }
 
 // r0 tiles, r1 quads, r4-r7 weights, r8-r11 activations, r2, r3, r12 and lr sums of the group.

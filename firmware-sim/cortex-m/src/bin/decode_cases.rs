@@ -17,6 +17,7 @@ use karakuri::{Decoder, Model, Workspace};
 struct Aligned<Bytes: ?Sized>(Bytes);
 
 include!(concat!(env!("OUT_DIR"), "/inputs.rs"));
+include!(concat!(env!("OUT_DIR"), "/width.rs"));
 
 #[entry]
 fn main() -> ! {
