@@ -264,12 +264,4 @@ mod tests {
             assert_ne!(early, late, "{}", format.name());
         }
     }
-
-    #[cfg(not(feature = "f16"))]
-    #[test]
-    fn f16_model_is_rejected_by_name_without_the_feature() {
-        let blob = specimen(NumberFormat::F16, SamplerKind::ClipCodes);
-        let error = Model::from_bytes(&blob).unwrap_err();
-        assert_eq!(error, BlobError::FormatNotBuilt(NumberFormat::F16));
-    }
 }

@@ -376,6 +376,17 @@ mod tests {
         assert!(matches!(Model::from_bytes(&blob), Err(BlobError::WrongLength { .. })));
     }
 
+    /// Says something only in builds that lack a format; `.ci/test` makes one.
+    #[test]
+    fn format_that_is_not_built_is_rejected_by_name() {
+        for format in NumberFormat::ALL {
+            let blob = specimen(format, SamplerKind::ClipCodes);
+            let refusal = Model::from_bytes(&blob).err();
+            let expected = (!format.is_built()).then_some(BlobError::FormatNotBuilt(format));
+            assert_eq!(refusal, expected, "{}", format.name());
+        }
+    }
+
     #[test]
     fn blob_of_a_newer_version_is_named() {
         let mut blob = w8a16();

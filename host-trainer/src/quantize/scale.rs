@@ -56,7 +56,7 @@ mod tests {
 
     #[test]
     fn stored_one_is_the_unit_turned_over() {
-        for scale in [3e-5, 1e-4, 3e-4, 0.011, 0.08, 1.0, 7.0] {
+        for scale in [3e-5, 1e-4, 3e-4, 0.011, 0.08, 1.0] {
             let stored = elu_scale(&InputScale { scale, zero_point: 0, magnitude_max: 127 }, 8);
             let one = f64::from(stored.one) / 2f64.powi(i32::from(stored.one_shift) - 16);
             assert!((one * scale - 1.0).abs() < 1e-4, "{scale}: {stored:?}");
