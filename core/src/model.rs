@@ -10,7 +10,6 @@ use crate::code::Code;
 use crate::error::{BlobError, SampleError};
 use crate::layer::{Layer, Order};
 use crate::limits::LAYERS_MAX;
-use crate::little_endian::i16s;
 use crate::manifest::{
     CODE_LAYER, Group, Joint, LayerShape, Manifest, NumberFormat, Provenance, TIME_LAYER,
     TensorKind, tensor_plan,
@@ -64,23 +63,7 @@ impl<'a> Model<'a> {
                 });
             }
         }
-        model.check_time_table()?;
         Ok(model)
-    }
-
-    /// Products from the table may not be larger than the certificate of the time half allows.
-    fn check_time_table(&self) -> Result<(), BlobError> {
-        let Some(time_half) = self.layers.get(TIME_LAYER) else { return Ok(()) };
-        let products_max = i32::MAX - time_half.room();
-        let shift = self.manifest.time_table_shift & 15;
-        let too_large = |entry| (i32::from(entry) << shift).unsigned_abs() > products_max as u32;
-        match i16s(self.time_table).position(too_large) {
-            None => Ok(()),
-            Some(place) => {
-                let frame = place / time_half.shape.rows_filled().max(1);
-                Err(BlobError::BadField { field: "time table", value: frame as u32 })
-            }
-        }
     }
 
     /// Cuts the blob into tensors by the manifest's plan; the plan must end exactly where the blob ends.
