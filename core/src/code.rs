@@ -15,6 +15,14 @@ impl Code {
         &self.values
     }
 
+    /// Adds numbers at the end. The loader has checked that all numbers of a model's codes fit; more would be dropped.
+    pub(crate) fn append(mut self, numbers: impl Iterator<Item = i16>) -> Self {
+        for number in numbers {
+            let _ = self.values.push(number);
+        }
+        self
+    }
+
     /// Moves this code towards `other` by `fraction` (Q0.16: 65,536 is all the way), per number, rounded to nearest.
     ///
     /// Interpolating codes interpolates motions and actions (ODMO, section 4.3). Codes of different models do not mix.

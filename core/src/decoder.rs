@@ -230,6 +230,14 @@ mod tests {
         }
     }
 
+    #[test]
+    fn time_table_beyond_the_certificate_is_rejected() {
+        let rows = [std::vec![i16::MAX; 8]];
+        let blob = specimen_with_time_table(NumberFormat::W4A8, &rows, 15);
+        let error = Model::from_bytes(&blob).unwrap_err();
+        assert_eq!(error, BlobError::BadField { field: "time table", value: 0 });
+    }
+
     fn table_row(blob: &[u8], frame: u32, shift: u8) -> Vec<i16> {
         let model = Model::from_bytes(blob).unwrap();
         let mut workspace = Workspace::<16>::new();

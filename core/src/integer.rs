@@ -33,7 +33,8 @@ pub(crate) fn fold<const FRAMES: usize>(
         let sums = code_products(code_half, block, front, back, bias);
         let scaled = requantizers.iter().zip(sums).map(|(scale, sum)| scale.apply(sum));
         for (folded, scaled) in folded.iter_mut().zip(scaled) {
-            *folded = scaled.clamp(-room, room);
+            // Not `clamp`, which panics where it cannot see that its bounds are in order.
+            *folded = scaled.max(-room).min(room);
         }
     }
 }

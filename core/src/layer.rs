@@ -102,12 +102,13 @@ impl<'a> Layer<'a> {
     /// Weights and group scales, four rows at a time.
     pub fn blocks(&self) -> impl Iterator<Item = (&'a [u8], &'a [u8])> + use<'a> {
         let scale_bytes = self.shape.block_scale_bytes();
-        let mut group_scales = self.group_scales;
-        // Block sizes are at least 16 bytes, see `columns_filled`.
-        self.weights.chunks_exact(self.shape.block_bytes().max(1)).map(move |block| {
-            let (scales, rest) = group_scales.split_at_checked(scale_bytes).unwrap_or_default();
-            group_scales = rest;
-            (block, scales)
+        let block_bytes = self.shape.block_bytes(); // At least 8, see `columns_filled`.
+        let (mut weights, mut group_scales) = (self.weights, self.group_scales);
+        core::iter::from_fn(move || {
+            let (block, scales);
+            (block, weights) = weights.split_at_checked(block_bytes)?;
+            (scales, group_scales) = group_scales.split_at_checked(scale_bytes).unwrap_or_default();
+            Some((block, scales))
         })
     }
 
@@ -225,11 +226,8 @@ fn halfword_magnitudes(word: u32) -> u64 {
 
 /// The `i32`s of a tensor, four at a time.
 pub(crate) fn fours(bytes: &[u8]) -> impl Iterator<Item = Sums> + '_ {
-    bytes.chunks_exact(16).map(|bytes| {
-        let mut four = [0; BLOCK_ROWS];
-        four.iter_mut().zip(i32s(bytes)).for_each(|(place, number)| *place = number);
-        four
-    })
+    let words = bytes.as_chunks().0;
+    words.as_chunks().0.iter().map(|four| four.map(i32::from_le_bytes))
 }
 
 /// Largest magnitude of a stored input of a layer.

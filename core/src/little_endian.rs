@@ -1,13 +1,11 @@
 //! Numbers read in place from flash, at any alignment of the blob.
 //!
 //! Why here: a slice from `include_bytes!` may start anywhere; LDM and LDRD fault on odd addresses, byte reads do not.
+//! `as_chunks` and not `chunks_exact`: the latter keeps its size in a variable and may divide by it, with a panic for 0.
 
 /// The `i16`s of a tensor.
 pub(crate) fn i16s(bytes: &[u8]) -> impl ExactSizeIterator<Item = i16> + '_ {
-    bytes.chunks_exact(2).map(|pair| match *pair {
-        [low, high] => i16::from_le_bytes([low, high]),
-        _ => 0,
-    })
+    bytes.as_chunks().0.iter().map(|&pair| i16::from_le_bytes(pair))
 }
 
 /// The `u16`s of a tensor.
@@ -17,10 +15,7 @@ pub(crate) fn u16s(bytes: &[u8]) -> impl ExactSizeIterator<Item = u16> + '_ {
 
 /// The `i32`s of a tensor.
 pub(crate) fn i32s(bytes: &[u8]) -> impl ExactSizeIterator<Item = i32> + '_ {
-    bytes.chunks_exact(4).map(|quad| match *quad {
-        [a, b, c, d] => i32::from_le_bytes([a, b, c, d]),
-        _ => 0,
-    })
+    bytes.as_chunks().0.iter().map(|&quad| i32::from_le_bytes(quad))
 }
 
 /// The `u32`s of a tensor.

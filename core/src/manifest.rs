@@ -304,14 +304,14 @@ pub fn tensor_plan(manifest: &Manifest<'_>) -> impl Iterator<Item = (TensorKind,
     let format = manifest.number_format;
     let time_rows = manifest.layers.get(TIME_LAYER).map_or(0, |shape| shape.rows_filled());
     let time_table = 2 * u64::from(manifest.time_table_frames) * time_rows as u64;
-    let layers = manifest.layers.clone().into_iter().enumerate();
+    let layers = manifest.layers.iter().enumerate();
     tables
         .into_iter()
         .chain(layers.flat_map(move |(index, shape)| layer_plan(index, shape, format)))
         .chain([(TensorKind::TimeTable, time_table)])
 }
 
-fn layer_plan(index: usize, shape: LayerShape, format: NumberFormat) -> [(TensorKind, u64); 4] {
+fn layer_plan(index: usize, shape: &LayerShape, format: NumberFormat) -> [(TensorKind, u64); 4] {
     let rows = shape.rows_filled() as u64;
     let with_bias = u64::from(index != TIME_LAYER);
     let with_scales = u64::from(format != NumberFormat::F16);

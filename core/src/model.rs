@@ -10,6 +10,7 @@ use crate::code::Code;
 use crate::error::{BlobError, SampleError};
 use crate::layer::{Layer, Order};
 use crate::limits::LAYERS_MAX;
+use crate::little_endian::i16s;
 use crate::manifest::{
     CODE_LAYER, Group, Joint, LayerShape, Manifest, NumberFormat, Provenance, TIME_LAYER,
     TensorKind, tensor_plan,
@@ -63,7 +64,20 @@ impl<'a> Model<'a> {
                 });
             }
         }
+        model.check_time_table()?;
         Ok(model)
+    }
+
+    /// Stored products must not reach beyond what the time half's own could: its room was measured by those.
+    fn check_time_table(&self) -> Result<(), BlobError> {
+        let room = self.layers.get(TIME_LAYER).map_or(0, Layer::room);
+        let products_max = i64::from(i32::MAX - room);
+        let shift = self.manifest.time_table_shift & 15;
+        let too_large = |entry: i16| i64::from(entry).abs() << shift > products_max;
+        match i16s(self.time_table).position(too_large) {
+            Some(index) => Err(BlobError::BadField { field: "time table", value: index as u32 }),
+            None => Ok(()),
+        }
     }
 
     /// Cuts the blob into tensors by the manifest's plan; the plan must end exactly where the blob ends.
@@ -76,9 +90,11 @@ impl<'a> Model<'a> {
         let (mut frequencies, mut time_table) = (&[][..], &[][..]);
         let mut sampler = Sampler::new(&manifest);
         let (packing, format) = (manifest.packing, manifest.number_format);
-        let layer = |(index, &shape)| Layer::new(shape, packing, format, index);
-        let mut layers: heapless::Vec<Layer<'a>, LAYERS_MAX> =
-            manifest.layers.iter().enumerate().map(layer).collect();
+        let mut layers = heapless::Vec::<Layer<'a>, LAYERS_MAX>::new();
+        for (index, &shape) in manifest.layers.iter().enumerate() {
+            // As many fit as the manifest can name; `collect` would panic beyond.
+            let _ = layers.push(Layer::new(shape, packing, format, index));
+        }
         let mut end = envelope.tensors_start();
         for (kind, length) in tensor_plan(&manifest) {
             let start = aligned(end);
@@ -196,7 +212,7 @@ impl<'a> Model<'a> {
             let scaled = value * one;
             (if scaled < 0.0 { scaled - 0.5 } else { scaled + 0.5 }) as i16
         };
-        Code { values: given.take(self.code_count()).map(round).collect() }
+        Code::default().append(given.take(self.code_count()).map(round))
     }
 
     /// The numbers of a code (β then α) as floats, exact.

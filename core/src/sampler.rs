@@ -11,7 +11,7 @@
 
 use crate::code::{Code, interpolate};
 use crate::error::{BlobError, SampleError};
-use crate::little_endian::{i8s, i16s, i32s, u16s};
+use crate::little_endian::{i8s, i16s, i32s};
 use crate::manifest::{INTERVAL_BYTES, MEMBER_BYTES, Manifest, SamplerKind, TensorKind};
 use crate::model::ActionId;
 use crate::random::{below, gaussian_q12};
@@ -48,13 +48,16 @@ struct Interval {
 }
 
 impl Interval {
-    fn parse(record: &[u8]) -> Option<Self> {
-        let mut halves = u16s(record.get(..8)?);
-        let (action, frames_min) = (halves.next()?, halves.next()?);
-        let (frames_max, spread) = (halves.next()?, halves.next()?);
-        let mut words = i32s(record.get(8..)?).map(i32::cast_unsigned);
-        let (member_first, member_count) = (words.next()?, words.next()?);
-        Some(Self { action, frames_min, frames_max, spread, member_first, member_count })
+    fn parse(record: &[u8; INTERVAL_BYTES]) -> Self {
+        let [a, b, c, d, e, f, g, h, first @ .., i, j, k, l] = *record;
+        Self {
+            action: u16::from_le_bytes([a, b]),
+            frames_min: u16::from_le_bytes([c, d]),
+            frames_max: u16::from_le_bytes([e, f]),
+            spread: u16::from_le_bytes([g, h]),
+            member_first: u32::from_le_bytes(first),
+            member_count: u32::from_le_bytes([i, j, k, l]),
+        }
     }
 
     fn contains(&self, frames: u32) -> bool {
@@ -128,10 +131,12 @@ impl<'a> Sampler<'a> {
     }
 
     pub fn trained_frames(&self, action: ActionId) -> core::ops::RangeInclusive<u32> {
-        let lengths = || self.intervals().filter(|interval| interval.action == action.0);
-        let frames_min = lengths().map(|interval| u32::from(interval.frames_min)).min();
-        let frames_max = lengths().map(|interval| u32::from(interval.frames_max)).max();
-        frames_min.unwrap_or(0)..=frames_max.unwrap_or(0)
+        let lengths = self.intervals().filter(|interval| interval.action == action.0);
+        let (frames_min, frames_max) = lengths.fold((u16::MAX, 0), |(min, max), interval| {
+            (interval.frames_min.min(min), interval.frames_max.max(max))
+        });
+        // Without any interval the largest minimum meets the maximum 0.
+        u32::from(frames_min.min(frames_max))..=u32::from(frames_max)
     }
 
     pub fn sample(
@@ -149,12 +154,11 @@ impl<'a> Sampler<'a> {
             .intervals()
             .find(|interval| interval.action == action.0 && interval.contains(frames))
             .ok_or(SampleError::OutsideTraining { frames, frames_min, frames_max })?;
-        let mut code = match self.kind {
+        let code = match self.kind {
             SamplerKind::ClipCodes => self.sample_clip(&interval, random),
             SamplerKind::DiagonalMixture => self.sample_gaussian(&interval, random),
         };
-        code.values.extend(self.action_code(action));
-        Ok(code)
+        Ok(code.append(self.action_code(action)))
     }
 
     fn sample_clip(&self, interval: &Interval, random: &mut impl FnMut() -> u32) -> Code {
@@ -169,9 +173,8 @@ impl<'a> Sampler<'a> {
         let sigmas =
             i32s(self.deviation_steps).map(|step| ((i64::from(step) * spread) >> 12) as i32);
         let means = from.zip(to).map(|(from, to)| interpolate(from, to, fraction));
-        Code {
-            values: means.zip(sigmas).map(|(mean, sigma)| add_noise(mean, sigma, random)).collect(),
-        }
+        let values = means.zip(sigmas);
+        Code::default().append(values.map(|(mean, sigma)| add_noise(mean, sigma, random)))
     }
 
     fn sample_gaussian(&self, interval: &Interval, random: &mut impl FnMut() -> u32) -> Code {
@@ -186,7 +189,7 @@ impl<'a> Sampler<'a> {
             self.row(self.deviations, component).iter().zip(i32s(self.deviation_steps));
         let sigmas = deviations.map(|(&deviation, step)| i32::from(deviation).saturating_mul(step));
         let values = self.mean(component).zip(sigmas);
-        Code { values: values.map(|(mean, sigma)| add_noise(mean, sigma, random)).collect() }
+        Code::default().append(values.map(|(mean, sigma)| add_noise(mean, sigma, random)))
     }
 
     /// A component's mean in code units.
@@ -218,21 +221,20 @@ impl<'a> Sampler<'a> {
     /// (component, cumulative weight)
     fn member(&self, interval: &Interval, member: u32) -> Option<(u16, u16)> {
         let index = (interval.member_first + member) as usize;
-        parse_member(self.members.get(index * MEMBER_BYTES..)?.get(..MEMBER_BYTES)?)
+        self.members.as_chunks().0.get(index).map(parse_member)
     }
 
     fn members(&self) -> impl Iterator<Item = (u16, u16)> + use<'a> {
-        self.members.chunks_exact(MEMBER_BYTES).filter_map(parse_member)
+        self.members.as_chunks::<MEMBER_BYTES>().0.iter().map(parse_member)
     }
 
     fn intervals(&self) -> impl Iterator<Item = Interval> + use<'a> {
-        self.intervals.chunks_exact(INTERVAL_BYTES).filter_map(Interval::parse)
+        self.intervals.as_chunks().0.iter().map(Interval::parse)
     }
 }
 
-fn parse_member(record: &[u8]) -> Option<(u16, u16)> {
-    let mut halves = u16s(record);
-    Some((halves.next()?, halves.next()?))
+fn parse_member(&[a, b, c, d]: &[u8; MEMBER_BYTES]) -> (u16, u16) {
+    (u16::from_le_bytes([a, b]), u16::from_le_bytes([c, d]))
 }
 
 /// `value + σ · N(0, 1)`, with σ in code units · 2^8.

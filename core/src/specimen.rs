@@ -178,3 +178,45 @@ fn interval(
     let halves = [action, *frames.start(), *frames.end(), 4096].map(u16::to_le_bytes).concat();
     [halves, [first, count].map(u32::to_le_bytes).concat()].concat()
 }
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+    use std::string::String;
+    use std::{env, format, fs};
+
+    use super::*;
+
+    fn seeds() -> Vec<(String, Vec<u8>)> {
+        let (clips, mixture) = (SamplerKind::ClipCodes, SamplerKind::DiagonalMixture);
+        let mut seeds = Vec::new();
+        for format in NumberFormat::ALL {
+            let name = format.name();
+            seeds.push((format!("{name}-clips"), specimen(format, clips)));
+            seeds.push((format!("{name}-mixture"), specimen(format, mixture)));
+        }
+        for format in [NumberFormat::W8A16, NumberFormat::W8A8, NumberFormat::W4A8] {
+            let name = format.name();
+            let rows = [vec![1; 8], vec![-1; 8], vec![i16::MAX; 8]];
+            seeds.push((format!("{name}-rows"), specimen_packed(format, clips, Packing::Rows)));
+            seeds.push((format!("{name}-table"), specimen_with_time_table(format, &rows, 3)));
+        }
+        seeds
+    }
+
+    /// Fuzzing starts from specimens; after a change of the format, `UPDATE_GOLDEN=1 cargo test -p karakuri` writes
+    /// them anew.
+    #[test]
+    #[cfg(not(miri))] // Miri is shut off from files.
+    fn seeds_of_the_fuzzers_are_the_specimens() {
+        for (name, blob) in seeds() {
+            let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/seeds");
+            let path = folder.join(format!("{name}.kara"));
+            if env::var_os("UPDATE_GOLDEN").is_some() {
+                fs::write(&path, &blob).unwrap();
+            }
+            let remedy = "run UPDATE_GOLDEN=1 cargo test -p karakuri";
+            assert!(fs::read(&path).unwrap() == blob, "{}: {remedy}", path.display());
+        }
+    }
+}

@@ -8,16 +8,15 @@
 //! end in the same bytes, interrupted or not.
 
 pub mod device;
+pub mod folder;
 pub mod step;
 
-use std::fs;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use karakuri::NumberFormat;
 
-use crate::atomic_file;
 use crate::checkpoint::{Checkpoint, TunedActivation, Tuning};
 use crate::config::ScheduleShape;
 use crate::error::{Error, Result};
@@ -27,8 +26,7 @@ use crate::train::metrics::{MetricLine, MetricLog, MetricSums, plot_losses};
 use crate::train::optimizer::DecoderMoments;
 use crate::train::schedule::rate_factor;
 use crate::train::{
-    BAR_LENGTH, CONFIG_FILE_NAME, LINE_PERIOD, PLOT_FILE_NAME, Progress, SAVE_PERIOD, Start,
-    progress_bar,
+    BAR_LENGTH, LINE_PERIOD, PLOT_FILE_NAME, Progress, SAVE_PERIOD, Start, progress_bar,
 };
 use device::Device;
 use step::Tuner;
@@ -85,8 +83,8 @@ pub struct Tuned {
 pub fn tune(request: &TuneRequest<'_>, out: &Path, options: &TuneOptions<'_>) -> Result<Tuned> {
     let start = begin(request);
     let checkpoint = match options.start {
-        Start::New => create(&start, out)?,
-        Start::Resume => resume(&start, out)?,
+        Start::New => folder::create(&start, out)?,
+        Start::Resume => folder::resume(&start, out)?,
     };
     let before = measure(request, start);
     let tuning = tuning_of(&checkpoint);
@@ -119,7 +117,8 @@ impl TuneRequest<'_> {
     fn tuner(&self, checkpoint: Checkpoint) -> Tuner<'_> {
         let hidden = tuning_of(&checkpoint).inputs(self.format);
         let bits = code_fraction_bits([&checkpoint.sequence_codes, &checkpoint.action_codes]);
-        let device = Device::new(self.format, &checkpoint.model, hidden, bits);
+        let Checkpoint { model, dataset, .. } = &checkpoint;
+        let device = Device::new(self.format, model, dataset, hidden, bits);
         Tuner::new(checkpoint, &self.parent.model, device)
     }
 }
@@ -146,60 +145,11 @@ fn begin(request: &TuneRequest<'_>) -> Checkpoint {
     checkpoint
 }
 
-/// Only checkpoints that [`begin`] or [`resume`] made come here.
+/// Only checkpoints that [`begin`] or [`folder::resume`] made come here.
 fn tuning_of(checkpoint: &Checkpoint) -> &Tuning {
     match &checkpoint.state.tuning {
         Some(tuning) => tuning,
         None => unreachable!("marked when tuning began"),
-    }
-}
-
-fn create(start: &Checkpoint, out: &Path) -> Result<Checkpoint> {
-    let is_taken =
-        out.exists() && fs::read_dir(out).map_or(true, |mut entries| entries.next().is_some());
-    if is_taken {
-        let remedy = "choose another folder, or go on with --resume";
-        return Err(Error::bad_input(out, "--out", "in use", "a new folder", remedy));
-    }
-    fs::create_dir_all(out).map_err(Error::io("create", out))?;
-    if let Err(error) = start.save(out) {
-        // Best effort, and only what is empty: an attempt that failed should leave nothing behind.
-        let _ = fs::remove_dir(out);
-        return Err(error);
-    }
-    let text = start.config.to_toml();
-    atomic_file::replace(&out.join(CONFIG_FILE_NAME), |file| {
-        std::io::Write::write_all(file, text.as_bytes())
-    })?;
-    Ok(start.clone())
-}
-
-/// The saved checkpoint, if it was begun as this request would.
-fn resume(start: &Checkpoint, out: &Path) -> Result<Checkpoint> {
-    if !out.join(Checkpoint::FILE_NAME).exists() {
-        let remedy = "leave --resume off to start, in a new folder";
-        return Err(Error::bad_input(out, "checkpoint", "missing", "a tuned run", remedy));
-    }
-    let checkpoint = Checkpoint::load(out)?;
-    let Some(then) = &checkpoint.state.tuning else {
-        let remedy = "give the --out of an interrupted `host-trainer tune`";
-        return Err(Error::bad_input(out, "checkpoint", "not tuned", "a tuned run", remedy));
-    };
-    let now = tuning_of(start);
-    let facts = [
-        ("format", now.format.clone(), then.format.clone()),
-        ("hash of RUN", now.parent_hash.clone(), then.parent_hash.clone()),
-        ("--seed", now.seed.to_string(), then.seed.to_string()),
-        ("--steps", now.step_count.to_string(), then.step_count.to_string()),
-        ("--learning-rate", now.learning_rate.to_string(), then.learning_rate.to_string()),
-    ];
-    match facts.into_iter().find(|(_, now, then)| now != then) {
-        None => Ok(checkpoint),
-        Some((field, now, then)) => {
-            let expected = format!("{then}, as when it began");
-            let remedy = "repeat the first command with --resume, or choose another --out";
-            Err(Error::bad_input(out, field, now, expected, remedy))
-        }
     }
 }
 
@@ -279,5 +229,188 @@ impl Run<'_> {
     fn save(&self) -> Result<()> {
         self.tuner.checkpoint.save(self.out)?;
         plot_losses(&self.log.lines, &self.out.join(PLOT_FILE_NAME))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+    use std::path::PathBuf;
+
+    use karakuri::{Decoder, FramePosition, Model, Pose, Workspace};
+
+    use super::*;
+    use crate::commands::quantize::quantize_checkpoint;
+    use crate::mixture::fit::fit;
+    use crate::quantize::calibrate::{CalibrationCase, calibrate};
+    use crate::quantize::{QuantizeOptions, activation_scales};
+    use crate::train::step::Trainer;
+    use crate::train::synthetic::{config, dataset};
+
+    const FORMATS: [NumberFormat; 3] =
+        [NumberFormat::W8A16, NumberFormat::W8A8, NumberFormat::W4A8];
+
+    fn trained() -> Checkpoint {
+        let (dataset, config) = (dataset(), config("[adam]\ndecoder_learning_rate = 0.01"));
+        let mut trainer = Trainer::new(Checkpoint::start(&dataset, &config), &dataset);
+        (0..500).for_each(|_| trainer.step(1.0));
+        trainer.checkpoint
+    }
+
+    fn request(parent: &Checkpoint, format: NumberFormat, step_count: u64) -> TuneRequest<'_> {
+        let case = |clip| CalibrationCase {
+            code: parent.mean_code(clip),
+            frames: (0..12).map(f64::from).collect(),
+        };
+        let cases: Vec<CalibrationCase> = (0..parent.dataset.clips.len()).map(case).collect();
+        TuneRequest {
+            parent,
+            parent_hash: "parent",
+            format,
+            activations: activation_scales(&calibrate(&parent.model, &cases), format),
+            step_count,
+            learning_rate: 1e-3,
+            seed: 5,
+        }
+    }
+
+    fn run(request: &TuneRequest<'_>, out: &Path, start: Start, stop: bool) -> Result<Tuned> {
+        let options = TuneOptions {
+            start,
+            stop: &AtomicBool::new(stop),
+            resume_command: "host-trainer tune --resume",
+            progress: Progress::Hidden,
+        };
+        tune(request, out, &options)
+    }
+
+    fn message(result: Result<Tuned>) -> String {
+        result.err().map_or_else(String::new, |error| error.to_string())
+    }
+
+    fn folder() -> (tempfile::TempDir, PathBuf) {
+        let folder = tempfile::tempdir().unwrap();
+        let out = folder.path().join("out");
+        (folder, out)
+    }
+
+    #[test]
+    fn used_folder_is_refused_and_left_alone() {
+        let (folder, parent) = (tempfile::tempdir().unwrap(), trained());
+        fs::write(folder.path().join("mine"), "text").unwrap();
+        let request = request(&parent, NumberFormat::W8A8, 3);
+        let message = message(run(&request, folder.path(), Start::New, false));
+        assert!(message.contains("--resume"), "{message}");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn resuming_nothing_an_untuned_run_or_another_tuning_is_refused() {
+        let ((_folder, out), parent) = (folder(), trained());
+        let request = request(&parent, NumberFormat::W8A8, 3);
+        assert!(message(run(&request, &out, Start::Resume, false)).contains("missing"));
+        fs::create_dir(&out).unwrap();
+        parent.save(&out).unwrap();
+        assert!(message(run(&request, &out, Start::Resume, false)).contains("not tuned"));
+        fs::remove_dir_all(&out).unwrap();
+        run(&request, &out, Start::New, false).unwrap();
+        let others = [
+            ("--seed", TuneRequest { seed: 6, ..request.clone() }),
+            ("--steps", TuneRequest { step_count: 4, ..request.clone() }),
+            ("hash of RUN", TuneRequest { parent_hash: "another", ..request.clone() }),
+        ];
+        for (field, other) in others {
+            let message = message(run(&other, &out, Start::Resume, false));
+            assert!(message.contains(field) && message.contains("as when it began"), "{message}");
+        }
+    }
+
+    #[test]
+    fn interrupted_tuning_ends_in_the_same_bytes() {
+        let parent = trained();
+        let request = request(&parent, NumberFormat::W8A8, 20);
+        let ((_folder, whole), (_other, cut)) = (folder(), folder());
+        run(&request, &whole, Start::New, false).unwrap();
+        assert!(matches!(run(&request, &cut, Start::New, true), Err(Error::Interrupted { .. })));
+        // As a kill after some steps leaves it.
+        let mut tuner = request.tuner(folder::resume(&begin(&request), &cut).unwrap());
+        for step in 0..7 {
+            let rate =
+                request.learning_rate * rate_factor(ScheduleShape::Cosine, step as f64 / 20.0);
+            tuner.step(request.seed, step, rate);
+        }
+        tuner.checkpoint.state.tuning.as_mut().unwrap().step = 7;
+        tuner.checkpoint.save(&cut).unwrap();
+        run(&request, &cut, Start::Resume, false).unwrap();
+        let bytes = |out: &Path| fs::read(out.join(Checkpoint::FILE_NAME)).unwrap();
+        assert!(bytes(&whole) == bytes(&cut));
+    }
+
+    #[test]
+    fn tuning_lessens_the_error_and_leaves_codes_and_shape_alone() {
+        let parent = trained();
+        // In so small a model the rounding of weights costs nothing beside that of 8-bit activations, so not w8a8.
+        for (format, learning_rate) in [(NumberFormat::W8A16, 1e-4), (NumberFormat::W4A8, 1e-3)] {
+            let (_folder, out) = folder();
+            let request = TuneRequest { learning_rate, ..request(&parent, format, 500) };
+            let tuned = run(&request, &out, Start::New, false).unwrap();
+            let (before, after) = (tuned.before.loss, tuned.after.loss);
+            assert!(after < before, "{}: {before} became {after}", format.name());
+            assert_eq!(tuned.checkpoint.sequence_codes, parent.sequence_codes);
+            assert_eq!(tuned.checkpoint.action_codes, parent.action_codes);
+            assert_eq!(tuned.checkpoint.config, parent.config);
+        }
+    }
+
+    /// Channels of a clip's frame, in channel units, by the blob.
+    fn decode(blob: &[u8], code: &[f32], frame: u32) -> Vec<f64> {
+        let model = Model::from_bytes(blob).unwrap();
+        let mut workspace = Workspace::<64>::new();
+        let mut decoder = Decoder::new(&model, &mut workspace).unwrap();
+        decoder.start(&model.code_from_f32(code));
+        let mut pose = Pose::new();
+        decoder.decode(FramePosition::from_frames(frame), &mut pose);
+        pose.channels().iter().map(|&channel| f64::from(channel) / 65_536.0).collect()
+    }
+
+    #[test]
+    fn tuned_checkpoint_quantises_to_the_very_weights_that_tuning_saw() {
+        let parent = trained();
+        for format in FORMATS {
+            let (_folder, out) = folder();
+            let request = request(&parent, format, 50);
+            let start = folder::create(&begin(&request), &out).unwrap();
+            let mut tuner = request.tuner(start);
+            (0..50).for_each(|step| tuner.step(1, step, 1e-3));
+            tuner.checkpoint.save(&out).unwrap();
+            let loaded = Checkpoint::load(&out).unwrap();
+            assert_eq!(request.tuner(loaded.clone()).effective_model(), tuner.effective_model());
+            let mixture = &loaded.config.mixture;
+            let mixtures = fit(&loaded.sequence_codes, &loaded.dataset, mixture, 1).unwrap();
+            let options = QuantizeOptions::new(format);
+            let blob = quantize_checkpoint("tuned", &loaded, &mixtures, &options).unwrap().blob;
+            assert_blob_gives_the_poses_that_tuning_saw(&tuner, &blob);
+        }
+    }
+
+    /// Up to activations on the edge between two steps, which f32 and integers may round to different sides.
+    fn assert_blob_gives_the_poses_that_tuning_saw(tuner: &Tuner<'_>, blob: &[u8]) {
+        let (mut apart, mut lost, mut count) = (0.0, 0.0, 0.0);
+        for clip in 0..tuner.checkpoint.dataset.clips.len() {
+            let code = tuner.checkpoint.mean_code(clip);
+            for frame in 0..3 {
+                let [mut seen, mut wanted] = tuner.decode(&code, frame);
+                tuner.checkpoint.dataset.destandardize(&mut seen);
+                tuner.checkpoint.dataset.destandardize(&mut wanted);
+                let got = decode(blob, &code, frame as u32);
+                for ((got, seen), wanted) in got.iter().zip(&seen).zip(&wanted) {
+                    apart += (got - f64::from(*seen)).powi(2);
+                    lost += f64::from(wanted - seen).powi(2);
+                    count += 1.0;
+                }
+            }
+        }
+        let (apart, lost) = ((apart / count).sqrt(), (lost / count).sqrt());
+        assert!(apart < 0.15 * lost + 1e-4, "{apart} apart, {lost} from the float model");
     }
 }

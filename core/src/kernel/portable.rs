@@ -9,14 +9,14 @@ use super::{GROUP_SCALE_BYTES, GROUP_TILES, Quad, TILE_BYTES};
 /// # Shapes
 /// `tiles` 16 bytes a quad · `quads` (columns / 4) · what one has more than the other is ignored.
 pub fn w8a16(tiles: &[u8], quads: &[Quad], sums: &mut [i32; 4]) {
-    for (tile, &quad) in tiles.chunks_exact(TILE_BYTES).zip(quads) {
+    for (tile, &quad) in tiles.as_chunks::<TILE_BYTES>().0.iter().zip(quads) {
         accumulate_w8a16(tile, quad, sums);
     }
 }
 
 /// [`w8a16`] for two frames, whose quads alternate.
 pub fn w8a16_pair(tiles: &[u8], quads: &[[Quad; 2]], sums: &mut [[i32; 4]; 2]) {
-    for (tile, pair) in tiles.chunks_exact(TILE_BYTES).zip(quads) {
+    for (tile, pair) in tiles.as_chunks::<TILE_BYTES>().0.iter().zip(quads) {
         for (sums, &quad) in sums.iter_mut().zip(pair) {
             accumulate_w8a16(tile, quad, sums);
         }
@@ -26,11 +26,9 @@ pub fn w8a16_pair(tiles: &[u8], quads: &[[Quad; 2]], sums: &mut [[i32; 4]; 2]) {
 #[inline]
 fn accumulate_w8a16(tile: &[u8], quad: Quad, sums: &mut [i32; 4]) {
     let ([x0, x2], [x1, x3]) = (halves(quad[0]), halves(quad[1]));
-    for (row, sum) in tile.chunks_exact(4).zip(sums) {
-        if let [w0, w1, w2, w3] = *row {
-            let [w0, w1, w2, w3] = [w0, w1, w2, w3].map(|w| i32::from(w.cast_signed()));
-            *sum = sum.wrapping_add(w0 * x0 + w1 * x1 + w2 * x2 + w3 * x3);
-        }
+    for (row, sum) in tile.as_chunks::<4>().0.iter().zip(sums) {
+        let [w0, w1, w2, w3] = row.map(|w| i32::from(w.cast_signed()));
+        *sum = sum.wrapping_add(w0 * x0 + w1 * x1 + w2 * x2 + w3 * x3);
     }
 }
 
@@ -42,14 +40,14 @@ fn accumulate_w8a16(tile: &[u8], quad: Quad, sums: &mut [i32; 4]) {
 /// # Shapes
 /// `tiles` 16 bytes a quad · `quads` (columns / 4) · what one has more than the other is ignored.
 pub fn w8a8(tiles: &[u8], quads: &[Quad], sums: &mut [i32; 4]) {
-    for (tile, &quad) in tiles.chunks_exact(TILE_BYTES).zip(quads) {
+    for (tile, &quad) in tiles.as_chunks::<TILE_BYTES>().0.iter().zip(quads) {
         accumulate_w8a8(tile, quad, sums);
     }
 }
 
 /// [`w8a8`] for two frames, whose quads alternate.
 pub fn w8a8_pair(tiles: &[u8], quads: &[[Quad; 2]], sums: &mut [[i32; 4]; 2]) {
-    for (tile, pair) in tiles.chunks_exact(TILE_BYTES).zip(quads) {
+    for (tile, pair) in tiles.as_chunks::<TILE_BYTES>().0.iter().zip(quads) {
         for (sums, &quad) in sums.iter_mut().zip(pair) {
             accumulate_w8a8(tile, quad, sums);
         }
@@ -59,8 +57,8 @@ pub fn w8a8_pair(tiles: &[u8], quads: &[[Quad; 2]], sums: &mut [[i32; 4]; 2]) {
 #[inline]
 fn accumulate_w8a8(tile: &[u8], quad: Quad, sums: &mut [i32; 4]) {
     let ([d0, d2], [x1, x3]) = (halves(quad[0]), halves(quad[1]));
-    for (row, sum) in tile.chunks_exact(4).zip(sums) {
-        let [h0, h2] = halves(word(row));
+    for (&row, sum) in tile.as_chunks().0.iter().zip(sums) {
+        let [h0, h2] = halves(u32::from_le_bytes(row));
         let (w0, w2) = (i32::from(h0 as i8), i32::from(h2 as i8));
         let products = [w0 * d0, h0 * x1, w2 * d2, h2 * x3];
         *sum = products.into_iter().fold(*sum, i32::wrapping_add);
@@ -77,25 +75,23 @@ fn accumulate_w8a8(tile: &[u8], quad: Quad, sums: &mut [i32; 4]) {
 /// `tiles` 16 bytes per two quads · `scales` 8 bytes per group of 64 columns · `quads` (columns / 4), even.
 pub fn w4a8(tiles: &[u8], scales: &[u8], quads: &[Quad], sums: &mut [i32; 4]) {
     let groups = tiles.chunks(GROUP_TILES * TILE_BYTES).zip(quads.chunks(2 * GROUP_TILES));
-    for ((tiles, quads), scales) in groups.zip(scales.chunks_exact(GROUP_SCALE_BYTES)) {
+    for ((tiles, quads), scales) in groups.zip(scales.as_chunks::<GROUP_SCALE_BYTES>().0) {
         let mut group_sums = [0; 4];
-        for (tile, quads) in tiles.chunks_exact(TILE_BYTES).zip(quads.chunks_exact(2)) {
+        for (tile, quads) in tiles.as_chunks::<TILE_BYTES>().0.iter().zip(quads.as_chunks().0) {
             accumulate_w4a8(tile, quads, &mut group_sums);
         }
-        for ((sum, group_sum), scale) in sums.iter_mut().zip(group_sums).zip(scales.chunks_exact(2))
+        for ((sum, group_sum), &scale) in sums.iter_mut().zip(group_sums).zip(scales.as_chunks().0)
         {
-            if let [low, high] = *scale {
-                let scale = i64::from(u16::from_le_bytes([low, high]));
-                *sum = sum.wrapping_add(((i64::from(group_sum) * scale) >> 16) as i32);
-            }
+            let scale = i64::from(u16::from_le_bytes(scale));
+            *sum = sum.wrapping_add(((i64::from(group_sum) * scale) >> 16) as i32);
         }
     }
 }
 
 #[inline]
-fn accumulate_w4a8(tile: &[u8], quads: &[Quad], sums: &mut [i32; 4]) {
-    for (row, sum) in tile.chunks_exact(4).zip(sums) {
-        let mut weights = word(row);
+fn accumulate_w4a8(tile: &[u8], quads: &[Quad; 2], sums: &mut [i32; 4]) {
+    for (&row, sum) in tile.as_chunks().0.iter().zip(sums) {
+        let mut weights = u32::from_le_bytes(row);
         for &activations in quads.iter().flatten() {
             let ([w_low, w_high], [x_low, x_high]) = (halves(weights), halves(activations));
             *sum = sum.wrapping_add(w_low * x_low).wrapping_add(w_high * x_high);
@@ -111,12 +107,10 @@ fn accumulate_w4a8(tile: &[u8], quads: &[Quad], sums: &mut [i32; 4]) {
 /// # Shapes
 /// `weights` 8 bytes a column, rows 0 to 3 · `activations` (column)
 pub fn f16(weights: &[u8], activations: &[f32], sums: &mut [f32; 4]) {
-    for (column, &x) in weights.chunks_exact(8).zip(activations) {
-        if let [a, b, c, d, e, f, g, h] = *column {
-            let weights = [[a, b], [c, d], [e, f], [g, h]].map(u16::from_le_bytes).map(binary16);
-            for (sum, weight) in sums.iter_mut().zip(weights) {
-                *sum += weight * x;
-            }
+    for (&[a, b, c, d, e, f, g, h], &x) in weights.as_chunks().0.iter().zip(activations) {
+        let weights = [[a, b], [c, d], [e, f], [g, h]].map(u16::from_le_bytes).map(binary16);
+        for (sum, weight) in sums.iter_mut().zip(weights) {
+            *sum += weight * x;
         }
     }
 }
@@ -127,14 +121,6 @@ fn binary16(bits: u16) -> f32 {
     const REBIAS: f32 = f32::from_bits((127 + 127 - 15) << 23); // 2^112
     let magnitude = f32::from_bits(u32::from(bits & 0x7FFF) << 13) * REBIAS;
     f32::from_bits(magnitude.to_bits() | u32::from(bits & 0x8000) << 16)
-}
-
-#[inline]
-fn word(row: &[u8]) -> u32 {
-    match *row {
-        [a, b, c, d] => u32::from_le_bytes([a, b, c, d]),
-        _ => 0,
-    }
 }
 
 /// Low and high halfword, sign-extended.

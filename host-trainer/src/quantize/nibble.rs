@@ -349,10 +349,10 @@ mod tests {
             let row = quantize_nibble_row(&weights, f64::from(bias), INPUT, &[]);
             let mut stored: Vec<i16> =
                 (0..weights.len() as i32).map(|i| ((i * 37 + seed) % 255 - 127) as i16).collect();
-            stored.resize(row.numbers.len(), 0);
+            stored.resize(row.numbers.len(), INPUT.zero_point);
             let got = accumulate(&row, &stored) as f64 * row.scale * INPUT.scale;
             let real = |q: i16| f64::from(q - INPUT.zero_point) * INPUT.scale;
-            let products = row.effective_weights().zip(&stored).take(weights.len());
+            let products = row.effective_weights().zip(&stored);
             let expected = products.map(|(w, &q)| w * real(q)).sum::<f64>() + f64::from(bias);
             // One floor a group and two roundings of the bias.
             let unit = row.scale * INPUT.scale;

@@ -16,7 +16,7 @@ use crate::quantize::effective::effective_model;
 use crate::quantize::integer_layers::IntegerInput;
 use crate::quantize::layer::InputScale;
 use crate::quantize::split::split_layers;
-use crate::quantize::{frequency_step, narrowest_weights};
+use crate::quantize::{default_weights, frequency_step};
 
 /// How a device of one number format stores the numbers of one model.
 #[derive(Clone, Debug)]
@@ -34,12 +34,13 @@ impl Device {
     pub fn new(
         format: NumberFormat,
         model: &FloatModel,
+        dataset: &DatasetDescription,
         hidden: Vec<InputScale>,
         code_fraction_bits: u8,
     ) -> Self {
         Self {
             format,
-            weights: narrowest_weights(format, model.layers.len() + 1),
+            weights: default_weights(format, &split_layers(model, dataset)),
             hidden,
             code_fraction_bits,
             frequency_steps: model.frequencies_rad.iter().map(|&w| frequency_step(w)).collect(),

@@ -12,7 +12,7 @@
 use faer::Accum;
 
 use crate::checkpoint::Checkpoint;
-use crate::config::Reduction;
+use crate::config::TrainConfig;
 use crate::dataset::{Dataset, DatasetDescription};
 use crate::float_model::{FloatModel, Rows, Wanted, Workspace};
 use crate::simd::vectorized;
@@ -51,7 +51,7 @@ pub struct Tuner<'a> {
 }
 
 impl<'a> Tuner<'a> {
-    /// Allocates every buffer. `seed` is that of the draws.
+    /// Allocates every buffer; the effective weights are those of the checkpoint.
     pub fn new(checkpoint: Checkpoint, teacher: &'a FloatModel, device: Device) -> Self {
         let dataset = without_poses(&checkpoint.dataset);
         let batch = Batch::new(&dataset, &checkpoint.config, &checkpoint.model);
@@ -76,7 +76,7 @@ impl<'a> Tuner<'a> {
     /// Does one step; fills `report`.
     pub fn step(&mut self, seed: u64, step: u64, learning_rate: f64) {
         let Checkpoint { config, sequence_codes, action_codes, .. } = &self.checkpoint;
-        let config = crate::config::TrainConfig { seed, ..config.clone() };
+        let config = TrainConfig { seed, ..config.clone() };
         self.batch.draw(&self.dataset, &config, [sequence_codes, action_codes], step);
         self.round_inputs();
         let rows = self.batch.rows();
@@ -140,31 +140,46 @@ impl<'a> Tuner<'a> {
         self.report = total;
     }
 
-    fn decode_clip(&self, clip: usize, [student, teacher]: [&mut Workspace; 2]) {
+    fn decode_clip(&self, clip: usize, workspaces: [&mut Workspace; 2]) {
         let last = self.dataset.description.clips[clip].frame_count - 1;
+        let frames: Vec<usize> =
+            (0..MEASURED_FRAMES).map(|index| last * index / (MEASURED_FRAMES - 1)).collect();
+        self.decode_frames(&self.checkpoint.mean_code(clip), &frames, workspaces);
+    }
+
+    /// Leaves poses in the workspaces: of the device, of the float model.
+    fn decode_frames(&self, code: &[f32], frames: &[usize], workspaces: [&mut Workspace; 2]) {
+        let [student, teacher] = workspaces;
         let sinusoid_count = self.teacher.sinusoid_count();
-        let mut tau = vec![0.0; 2 * MEASURED_FRAMES * sinusoid_count];
-        let (stored, exact) = tau.split_at_mut(MEASURED_FRAMES * sinusoid_count);
-        let pairs = stored.chunks_exact_mut(sinusoid_count);
-        for (index, (stored, exact)) in
-            pairs.zip(exact.chunks_exact_mut(sinusoid_count)).enumerate()
+        let mut exact = vec![0.0; frames.len() * sinusoid_count];
+        let mut stored = exact.clone();
+        let rows = exact.chunks_exact_mut(sinusoid_count);
+        for ((exact, stored), &frame) in
+            rows.zip(stored.chunks_exact_mut(sinusoid_count)).zip(frames)
         {
-            let frame = last * index / (MEASURED_FRAMES - 1);
-            self.device.embed_time(frame, stored);
             self.teacher.embed_time(frame as f64, exact);
+            self.device.embed_time(frame, stored);
         }
-        let code = self.checkpoint.mean_code(clip);
-        let mut rounded = code.clone();
+        let mut rounded = code.to_vec();
         self.device.round_codes(&mut rounded);
-        let moments: Vec<usize> = (0..MEASURED_FRAMES).collect();
         let rows = Rows {
-            codes: &code,
-            tau: exact,
-            code_of_row: &[0; MEASURED_FRAMES],
-            moment_of_row: &moments,
+            codes: code,
+            tau: &exact,
+            code_of_row: &vec![0; frames.len()],
+            moment_of_row: &Vec::from_iter(0..frames.len()),
         };
         self.teacher.forward(&rows, teacher);
-        self.effective.forward(&Rows { codes: &rounded, tau: stored, ..rows }, student);
+        self.effective.forward(&Rows { codes: &rounded, tau: &stored, ..rows }, student);
+    }
+
+    /// Standardised poses of a code at one frame: of the device, of the float model.
+    #[cfg(test)]
+    pub fn decode(&self, code: &[f32], frame: usize) -> [Vec<f32>; 2] {
+        let mut student = Workspace::new(self.teacher, 1, 1, 1);
+        let mut teacher = student.clone();
+        student.round_activations(self.device.grids());
+        self.decode_frames(code, &[frame], [&mut student, &mut teacher]);
+        [student, teacher].map(|workspace| workspace.outputs().flatten().copied().collect())
     }
 }
 
@@ -193,8 +208,7 @@ fn compare(student: &mut Workspace, teacher: &Workspace, weights: &[f32], report
 /// The loss's weights, without channels that never move: their scale is too small for a gradient to mean anything.
 fn moving_channel_weights(checkpoint: &Checkpoint) -> Vec<f32> {
     let Checkpoint { config, dataset, .. } = checkpoint;
-    let reduction: Reduction = config.loss.reduction;
-    let weights = channel_weights(&dataset.layout, reduction);
+    let weights = channel_weights(&dataset.layout, config.loss.reduction);
     let moving = |(channel, weight)| if dataset.is_constant(channel) { 0.0 } else { weight };
     weights.into_iter().enumerate().map(moving).collect()
 }

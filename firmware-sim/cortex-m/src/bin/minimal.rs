@@ -28,7 +28,10 @@ fn main() -> ! {
     let mut random = Pcg32::new(1);
     let mut workspace = Workspace::<WORKSPACE_WIDTH>::new();
     let mut pose = Pose::new();
-    let model = Model::from_bytes(blob_partition::blob());
+    let blob = blob_partition::blob();
+    #[cfg(feature = "forbidden")]
+    core::hint::black_box(forbidden(blob));
+    let model = Model::from_bytes(blob);
     if let Ok(model) = &model
         && let Ok(mut decoder) = Decoder::new(model, &mut workspace)
     {
@@ -57,6 +60,14 @@ fn move_once(
             unsafe { ptr::write_volatile(&raw mut SERVO, channel) };
         }
     }
+}
+
+/// Panics where the compiler cannot see that it does, and multiplies floats.
+#[cfg(feature = "forbidden")]
+#[inline(never)]
+fn forbidden(blob: &[u8]) -> f32 {
+    let index = core::hint::black_box(1);
+    f32::from(blob[index]) * core::hint::black_box(1.5)
 }
 
 fn stop() -> ! {
