@@ -252,3 +252,22 @@ fn time_table_that_is_shifted_too_far_is_refused() {
         }
     }
 }
+
+/// A table entry stands for products that the certificate has proved to fit beside any folded code.
+#[test]
+fn time_table_entry_beyond_the_certificate_is_refused() {
+    for format in integer_formats() {
+        for entry in [i16::MAX, i16::MIN] {
+            let mut last = 0;
+            let error = refusal(format, |parts| {
+                parts.manifest.time_table_frames = 2;
+                parts.manifest.time_table_shift = 15;
+                let rows = parts.manifest.layers[TIME_LAYER].rows_filled();
+                last = 2 * rows - 1;
+                parts.tensor(TensorKind::TimeTable).resize(4 * rows, 0);
+                parts.set(TensorKind::TimeTable, 0, entry.to_le_bytes());
+            });
+            assert_eq!(error, bad("time table", last), "{format}, {entry}");
+        }
+    }
+}
