@@ -11,6 +11,7 @@
 ///
 /// # Shapes
 /// `rows` (4, columns) · `activations` (columns); what one has more than the other is ignored.
+#[inline(never)]
 pub fn w8a16(rows: &[u8], activations: &[i16], sums: &mut [i32; 4]) {
     *sums = add_products(rows, activations, *sums);
 }
@@ -19,6 +20,7 @@ pub fn w8a16(rows: &[u8], activations: &[i16], sums: &mut [i32; 4]) {
 ///
 /// # Shapes
 /// `rows` (4, columns) · `activations` (columns); what one has more than the other is ignored.
+#[inline(never)]
 pub fn w8a8(rows: &[u8], activations: &[i8], sums: &mut [i32; 4]) {
     for (sum, product) in sums.iter_mut().zip(add_products(rows, activations, [0; 4])) {
         *sum = sum.wrapping_add(product << 8);
