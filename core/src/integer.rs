@@ -147,8 +147,9 @@ fn activate<const FRAMES: usize>(
     next: &Layer<'_>,
     output: &mut [[Quad; FRAMES]],
 ) {
-    let blocks = layer.blocks().zip(fours(starts)).zip(layer.requantizers());
-    for (index, ((block, start), requantizers)) in blocks.enumerate() {
+    // Both of known length first: one counter serves them.
+    let numbers = fours(starts).zip(layer.requantizers());
+    for (index, (block, (start, requantizers))) in layer.blocks().zip(numbers).enumerate() {
         let mut sums = [start; FRAMES];
         match products {
             Products::Of(input) => accumulate_frames(layer, block, input, &mut sums),
