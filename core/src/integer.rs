@@ -166,6 +166,7 @@ fn activate<const FRAMES: usize>(
 }
 
 /// Adds the stored products of the block at `index`.
+#[inline(never)]
 fn add_stored<const FRAMES: usize>(
     rows: [&[u8]; FRAMES],
     shift: u8,
