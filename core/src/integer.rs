@@ -166,6 +166,7 @@ fn activate<const FRAMES: usize>(
 }
 
 /// Adds the stored products of the block at `index`.
+// Not inlined, and `fill` neither: their variables would push those of the loop around them out of registers.
 #[inline(never)]
 fn add_stored<const FRAMES: usize>(
     rows: [&[u8]; FRAMES],
