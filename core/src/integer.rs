@@ -8,9 +8,10 @@ use crate::code::Code;
 use crate::decoder::Stage;
 use crate::kernel::{self, Quad};
 use crate::layer::{Layer, Order, Sums, fours};
-use crate::little_endian::{i16s, u32s};
+use crate::little_endian::u32s;
 use crate::manifest::TIME_LAYER;
 use crate::model::Model;
+use crate::packing::BLOCK_ROWS;
 use crate::pose::Pose;
 use crate::time_embedding::{FramePosition, stored_sinusoids};
 use crate::workspace::Buffers;
@@ -146,8 +147,9 @@ fn activate<const FRAMES: usize>(
     next: &Layer<'_>,
     output: &mut [[Quad; FRAMES]],
 ) {
-    let blocks = layer.blocks().zip(fours(starts)).zip(layer.requantizers());
-    for (index, ((block, start), requantizers)) in blocks.enumerate() {
+    // Both of known length first: one counter serves them.
+    let numbers = fours(starts).zip(layer.requantizers());
+    for (index, (block, (start, requantizers))) in layer.blocks().zip(numbers).enumerate() {
         let mut sums = [start; FRAMES];
         match products {
             Products::Of(input) => accumulate_frames(layer, block, input, &mut sums),
@@ -164,6 +166,8 @@ fn activate<const FRAMES: usize>(
 }
 
 /// Adds the stored products of the block at `index`.
+// Not inlined, and `fill` neither: their variables would push those of the loop around them out of registers.
+#[inline(never)]
 fn add_stored<const FRAMES: usize>(
     rows: [&[u8]; FRAMES],
     shift: u8,
@@ -171,14 +175,17 @@ fn add_stored<const FRAMES: usize>(
     sums: &mut [Sums; FRAMES],
 ) {
     for (row, sums) in rows.into_iter().zip(sums) {
-        let stored = i16s(row.get(8 * index..).unwrap_or_default());
-        for (sum, product) in sums.iter_mut().zip(stored) {
+        // Whole fours: a count of what is left would be computed for every block, with or without a table.
+        let blocks = row.as_chunks::<2>().0.as_chunks::<BLOCK_ROWS>().0;
+        let stored = blocks.get(index).copied().unwrap_or_default();
+        for (sum, product) in sums.iter_mut().zip(stored.map(i16::from_le_bytes)) {
             *sum = sum.wrapping_add(i32::from(product) << (shift & 15));
         }
     }
 }
 
 /// Activations that only fill the next layer's last tile are real zeros.
+#[inline(never)]
 fn fill<const FRAMES: usize>(layer: &Layer<'_>, next: &Layer<'_>, output: &mut [[Quad; FRAMES]]) {
     for index in layer.shape.rows_filled() / 4..next.shape.columns_filled() / 4 {
         for frame in 0..FRAMES {
