@@ -179,8 +179,9 @@ impl Run<'_> {
     fn finish(mut self, request: &TuneRequest<'_>) -> Result<Checkpoint> {
         let bar = progress_bar(self.options.progress);
         let (mut line_time, mut save_time) = (Instant::now(), Instant::now());
-        let mut line_step = tuning_of(&self.tuner.checkpoint).step;
-        for step in line_step..request.step_count {
+        let first_step = tuning_of(&self.tuner.checkpoint).step;
+        let mut line_step = first_step;
+        for step in first_step..request.step_count {
             if self.options.stop.load(Ordering::Relaxed) {
                 self.save()?;
                 return Err(Error::Interrupted { resume: self.options.resume_command.to_owned() });
