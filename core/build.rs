@@ -1,8 +1,8 @@
 //! Chooses the kernel family from the target, so that nobody has to know about it.
 //!
 //! In:  `TARGET`, and `-C target-cpu` in the compiler's flags (stable rustc does not show DSP or MVE as features).
-//! Out: `cfg(karakuri_kernel = "…")`; `cfg(karakuri_rows)` where the family reads row after row; `cfg(karakuri_vfp)` where
-//!      single-precision floats are in hardware.
+//! Out: `cfg(karakuri_kernel = "…")`; `cfg(karakuri_rows)` where the family reads row after row; `cfg(karakuri_vfp)`
+//!      where single-precision floats are in hardware.
 //!
 //! A wrong guess costs speed, never correctness: every family computes the same bits.
 

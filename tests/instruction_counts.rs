@@ -1,8 +1,8 @@
 //! What a motion costs on every core, number by number: `firmware-sim bench` against a golden.
 //!
 //! Why here: instruction counts are the same in every run on every machine, so any change is a change of the code. A
-//! regression fails, and an improvement fails until somebody accepts it, lest it be lost again unnoticed. Another version
-//! of the compiler makes another program: then numbers may only stay below the golden's by a margin, and the test says
+//! regression fails, and an improvement fails until somebody accepts it, lest it be lost again unnoticed. Another
+//! version of the compiler makes another program: then numbers may only stay below the golden's by a margin, and the test says
 //! loudly that it compared no more than that.
 
 use std::collections::BTreeMap;

@@ -3,8 +3,8 @@
 //! In:  an ELF file from `firmware.rs`, with line tables.
 //! Out: sizes of sections and the part of the decoder that each address belongs to, for `benchmark.rs`.
 //!
-//! Why here: kernels in Rust are inlined, so their instructions are found by the line table; kernels in assembly have no
-//! line table and are found by their symbols.
+//! Why here: kernels in Rust are inlined, so their instructions are found by the line table; kernels in assembly have
+//! no line table and are found by their symbols.
 
 use addr2line::Context;
 use addr2line::gimli::{self, Dwarf, EndianSlice, LittleEndian, SectionId};

@@ -3,8 +3,8 @@
 //! In:  a [`Target`], and what the program needs: blob and [`Case`]s, or a number format and a width.
 //! Out: [`Firmware`], an ELF file for `qemu.rs`.
 //!
-//! Why here: for the parity proof, blob and cases are compiled in, as a product would do it, so alignment and flash size
-//! are proved too. The benchmarks find any blob in a partition of its own, so one build serves every network.
+//! Why here: for the parity proof, blob and cases are compiled in, as a product would do it, so alignment and flash
+//! size are proved too. The benchmarks find any blob in a partition of its own, so one build serves every network.
 
 use std::ffi::OsStr;
 use std::fs::{self, File};

@@ -3,6 +3,8 @@
 //! Why here: the simulator may not use the trainer, so its tests quantize by hand. All weights are multiples of 2^-6
 //! within ±1, which i8 and binary16 hold exactly; what remains is the error of activations and arithmetic.
 
+mod units;
+
 use std::collections::HashMap;
 use std::fs;
 
@@ -16,6 +18,9 @@ use karakuri::{GroupKind, NumberFormat, Pcg32, Requantizer, Unit};
 use safetensors::Dtype;
 use safetensors::tensor::TensorView;
 use tempfile::TempDir;
+
+use crate::fixture::units::{Units, accumulator_unit, activation, pre_activation_unit};
+use crate::synthetic::scale::word_of;
 
 const SEQUENCE: usize = 3;
 const ACTION: usize = 2;
@@ -147,24 +152,6 @@ impl Fixture {
         [("dataset", dataset), ("state", state)]
             .map(|(key, value)| (key.to_owned(), value.to_string()))
             .into()
-    }
-}
-
-/// Real values of the stored numbers of a format.
-struct Units {
-    sinusoid: f64,
-    activation: f64,
-    code: f64,
-}
-
-impl Units {
-    fn of(format: NumberFormat) -> Self {
-        Self {
-            sinusoid: 1.0 / f64::from(format.sinusoid_one()),
-            // Activations of this model stay below 8.
-            activation: 8.0 / f64::from(format.activation_range().1),
-            code: 1.0 / f64::from(1 << CODE_FRACTION_BITS),
-        }
     }
 }
 
@@ -304,7 +291,7 @@ fn layer_tensors(
         weights.extend(row.iter().copied());
         let stored_bias = (real_bias + mean / scale) / accumulator_unit;
         bias.extend((stored_bias.round() as i32).to_le_bytes());
-        scales.extend(requantizer(accumulator_unit * scale / output_unit).to_le_bytes());
+        scales.extend(word_of(accumulator_unit * scale / output_unit).to_le_bytes());
     }
     let shape = shape(index, device, format);
     let filling = shape.rows_filled() - rows.len();
@@ -334,41 +321,6 @@ fn pack_half(rows: &[&[i8]], scale: &[f64]) -> Vec<u8> {
     let fours = blocks.flat_map(|block| (0..columns).map(move |column| (block, column)));
     let four = |(block, column)| (block..block + 4).map(move |row| weight(row, column));
     fours.flat_map(four).flat_map(|weight| half::f16::from_f64(weight).to_le_bytes()).collect()
-}
-
-/// Real value of an accumulator's 1: kernels of 8-bit activations count 256 for a product.
-fn accumulator_unit(index: usize, input_unit: f64, format: NumberFormat) -> f64 {
-    let bytes = index > 0 && format.activation_range().1 == 127;
-    WEIGHT_UNIT * input_unit / if bytes { 256.0 } else { 1.0 }
-}
-
-fn pre_activation_unit(format: NumberFormat) -> f64 {
-    Units::of(format).activation / f64::from(1 << activation(format).fraction_bits)
-}
-
-/// The word nearest to a factor; its low six bits are the shift.
-fn requantizer(factor: f64) -> u32 {
-    let right = 30 - factor.log2().floor() as i32;
-    let sixty_fourths = (factor * 2.0_f64.powi(right) - f64::from(right)) / 64.0;
-    sixty_fourths.round() as u32 * 64 + right as u32
-}
-
-fn activation(format: NumberFormat) -> ActivationScale {
-    if format == NumberFormat::F16 {
-        return ActivationScale::NONE;
-    }
-    let fraction_bits = if format.activation_range().1 == 127 { 8 } else { 0 };
-    let unit = Units::of(format).activation;
-    let power_step = unit / f64::from(1 << fraction_bits) * std::f64::consts::LOG2_E;
-    // Units are between 2^-12 and 2^-3: 1 in 15 bits.
-    let one_shift = 30 - (1.0 / unit).log2().floor() as i32;
-    ActivationScale {
-        power_step: (power_step * 2.0_f64.powi(27)).round() as u32,
-        one: (2.0_f64.powi(one_shift - 16) / unit).round() as u16,
-        one_shift: one_shift as u8,
-        zero_point: 0,
-        fraction_bits,
-    }
 }
 
 fn shape(index: usize, device: &DeviceLayer<'_>, format: NumberFormat) -> LayerShape {

@@ -3,8 +3,8 @@
 //! In:  a [`Network`], a number format, an order of weights.
 //! Out: bytes of a blob.
 //!
-//! Why here: counts depend on shapes, formats and, a little, on the signs of pre-activations. Weights are drawn with the
-//! spread that keeps activations in a trained network's range; see `layer.rs`. Only sums, products and square roots, so
+//! Why here: counts depend on shapes, formats and, a little, on the signs of pre-activations. Weights are drawn with
+//! the spread that keeps activations in a trained network's range; see `layer.rs`. Only sums, products and square roots, so
 //! the same bytes come out on every machine.
 
 use karakuri::blob::BlobParts;
@@ -18,7 +18,7 @@ use crate::error::Result;
 use crate::network::{Network, Shape};
 
 mod layer;
-mod scale;
+pub(crate) mod scale;
 mod tables;
 
 use layer::{Layer, normal};

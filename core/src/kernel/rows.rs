@@ -6,7 +6,7 @@
 //! Why here: Armv8.1-M's VMLADAVA and the SIMD of hosts sum along a row, and need no packing. For the M55 the loop over
 //! all four rows becomes ten instructions, LETP included, for 64 products with i8 and 32 with i16; it loads activations
 //! once. Written as four loops it has 4 x 4 instructions, and with i16 loses the predicated tail. Inlined into a caller
-//! with other kernels it loses that tail, too, and needs 3.5 times the instructions: hence `inline(never)`.
+//! with other kernels it loses that tail, too, and needs four times the instructions (i8): hence `inline(never)`.
 
 /// `sums[r] += Σ w[r][c] · x[c]` over four rows of i8 weights.
 ///

@@ -51,8 +51,8 @@ fn part(target: Target) -> (&'static str, u32) {
     }
 }
 
-/// Integer loops: loads of several words, single-cycle products (M3: two cycles), taken branches of three cycles; the M7
-/// issues up to two at a time, the M55 overlaps loads with products. Float loops: VMLA takes three cycles on the M4
+/// Integer loops: loads of several words, single-cycle products (M3: two cycles), taken branches of three cycles; the
+/// M7 issues up to two at a time, the M55 overlaps loads with products. Float loops: VMLA takes three cycles on the M4
 /// and M33; a part without an FPU runs integer code.
 fn cycles_per_instruction(target: Target, format: NumberFormat) -> f64 {
     let is_float = format == NumberFormat::F16;

@@ -180,8 +180,7 @@ impl Row {
             load_instructions: instructions("load")?,
             sample_instructions: instructions("sample")?,
             fold_instructions: instructions("fold")?,
-            gaussian_instructions: instructions("gaussians")? as f64
-                / number("gaussians")?.max(1) as f64,
+            gaussian_instructions: gaussian_instructions(measurements)?,
             blob_bytes: subject.blob.len(),
             weight_bytes,
             time_table_bytes,
@@ -203,6 +202,11 @@ impl Row {
             estimate: Estimate::new(target, format, instructions_per_pose),
         })
     }
+}
+
+fn gaussian_instructions(measurements: &Measurements) -> Result<f64> {
+    let draws = measurements.number("gaussians")?.max(1);
+    Ok(measurements.instructions("gaussians")? as f64 / draws as f64)
 }
 
 /// The regions between the whole pose and the return from it.

@@ -4,8 +4,8 @@
 //! number of a column: its own nibble on top, below it the nibbles that lie below in the 32-bit word. So the device
 //! multiplies words as they lie in flash, and the quantiser compensates here for what its neighbours add.
 //!
-//! Why here: rounding from the lowest nibble upwards knows the lower bits of every number, so that each ends within half
-//! a nibble of the wanted weight, as plain 4-bit rounding does.
+//! Why here: rounding from the lowest nibble upwards knows the lower bits of every number, so that each ends within
+//! half a nibble of the wanted weight, as plain 4-bit rounding does.
 //! Source: the raw-word packing of `../shared/notes/embedded.md`, section 2, at 4 bits.
 
 use crate::quantize::layer::InputScale;

@@ -3,8 +3,8 @@
 //! In:  a kernel, and the slices of a call.
 //! Out: the kernel's sums.
 //!
-//! Why here: these have one argument more, and weights that are not word-aligned are copied a group at a time. What makes
-//! a call safe stands in [`assembly`](super).
+//! Why here: these have one argument more, and weights that are not word-aligned are copied a group at a time. What
+//! makes a call safe stands in [`assembly`](super).
 
 use super::{Aligned, is_aligned};
 use crate::kernel::{GROUP_SCALE_BYTES, GROUP_TILES, Quad, TILE_BYTES};

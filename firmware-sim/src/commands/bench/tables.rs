@@ -122,7 +122,8 @@ fn ram(row: &Row) -> Vec<String> {
     workspaces.into_iter().chain(rest.map(grouped)).collect()
 }
 
-const ESTIMATE_TITLE: &str = "ESTIMATE of poses per second, not measured: cycles per instruction are assumed, memory without wait states";
+const ESTIMATE_TITLE: &str = "ESTIMATE of poses per second, not measured: \
+     cycles per instruction are assumed, memory without wait states";
 const ESTIMATE: [&str; 4] = ["part", "MHz", "cycles/instr.", "poses/s"];
 
 fn estimate(row: &Row) -> Vec<String> {
