@@ -137,6 +137,5 @@ fn draw_gaussians() {
 fn sample(model: &Model<'_>, code: &mut Code) -> Result<(), SampleError> {
     let mut random = Pcg32::new(black_box(1));
     let frames = *model.trained_frames(ActionId(0)).start();
-    *code = model.sample(ActionId(0), frames, &mut || random.next_u32())?;
-    Ok(())
+    model.sample_into(ActionId(0), frames, &mut || random.next_u32(), code)
 }
