@@ -142,7 +142,7 @@ impl<'a> Reader<'a> {
         Joint { name, parent, offset: [coordinate(), coordinate(), coordinate()] }
     }
 
-    /// Fills in a manifest that is [`Manifest::EMPTY`].
+    /// Fills in a manifest that is [`Manifest::empty`].
     pub fn manifest(&mut self, manifest: &mut Manifest<'a>) {
         manifest.name = self.text();
         manifest.number_format = self.number_format();
@@ -164,8 +164,7 @@ impl<'a> Reader<'a> {
         manifest.sampler = self.sampler();
         manifest.time_table_frames = self.u16();
         manifest.time_table_shift = self.byte();
-        let hash = self.take(manifest.provenance.config_hash.len());
-        manifest.provenance.config_hash.iter_mut().zip(hash).for_each(|(to, from)| *to = *from);
+        manifest.provenance.config_hash.iter_mut().for_each(|byte| *byte = self.byte());
         manifest.provenance.seed = self.varint();
     }
 
@@ -211,8 +210,6 @@ impl<'a> Reader<'a> {
 
 #[cfg(test)]
 mod tests {
-    use std::vec::Vec;
-
     use proptest::prelude::*;
 
     use super::*;
@@ -237,19 +234,20 @@ mod tests {
         for format in NumberFormat::ALL {
             let blob = specimen(format, SamplerKind::DiagonalMixture);
             let mut reader = Reader::new(&blob[HEADER_BYTES..]);
-            let mut manifest = Manifest::EMPTY;
+            let mut manifest = Manifest::empty();
             reader.manifest(&mut manifest);
-            let written = postcard::to_vec::<_, 1024>(&manifest).unwrap();
-            assert!(!reader.is_broken() && blob[HEADER_BYTES..].starts_with(&written));
+            let mut buffer = [0; 1024];
+            let written = postcard::to_slice(&manifest, &mut buffer).unwrap();
+            assert!(!reader.is_broken() && blob[HEADER_BYTES..].starts_with(written));
         }
     }
 
     proptest! {
         #[test]
         fn numbers_are_what_was_written(small: u16, signed: i16, large: u32, huge: u64) {
-            let values = postcard::to_vec::<_, 64>(&(small, signed, large, huge)).unwrap();
-            let bytes: Vec<u8> = values.iter().copied().collect();
-            let mut reader = Reader::new(&bytes);
+            let mut buffer = [0; 64];
+            let values = (small, signed, large, huge);
+            let mut reader = Reader::new(postcard::to_slice(&values, &mut buffer).unwrap());
             let read = (reader.u16(), reader.i16(), reader.u32(), reader.varint());
             prop_assert_eq!(read, (small, signed, large, huge));
             prop_assert!(!reader.is_broken() && reader.rest().is_empty());

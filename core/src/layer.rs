@@ -249,7 +249,7 @@ fn bytes_of_halfwords(word: u32) -> u32 {
 /// The `i32`s of a tensor, four at a time.
 pub(crate) fn fours(bytes: &[u8]) -> impl Iterator<Item = Sums> + '_ {
     let words = bytes.as_chunks().0;
-    words.as_chunks().0.iter().map(|four| four.map(i32::from_le_bytes))
+    words.as_chunks().0.iter().map(|four| four.each_ref().map(|word| i32::from_le_bytes(*word)))
 }
 
 /// Largest magnitude of a stored input of a layer.

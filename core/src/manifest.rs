@@ -176,30 +176,32 @@ pub struct ActivationScale {
 
 impl Manifest<'_> {
     /// Of nothing: what the reader fills in.
-    pub(crate) const EMPTY: Self = Self {
-        name: "",
-        number_format: NumberFormat::W8A16,
-        packing: Packing::Rows,
-        rate_millihz: 0,
-        group_count: 0,
-        action_count: 0,
-        joint_count: 0,
-        sequence_code_count: 0,
-        action_code_count: 0,
-        code_fraction_bits: 0,
-        frequency_count: 0,
-        layers: heapless::Vec::new(),
-        sampler: SamplerShape {
-            kind: SamplerKind::ClipCodes,
-            component_count: 0,
-            member_count: 0,
-            interval_count: 0,
-            step_max_q16: 0,
-        },
-        time_table_frames: 0,
-        time_table_shift: 0,
-        provenance: Provenance { config_hash: [0; 32], seed: 0 },
-    };
+    pub(crate) fn empty() -> Self {
+        Self {
+            name: "",
+            number_format: NumberFormat::W8A16,
+            packing: Packing::Rows,
+            rate_millihz: 0,
+            group_count: 0,
+            action_count: 0,
+            joint_count: 0,
+            sequence_code_count: 0,
+            action_code_count: 0,
+            code_fraction_bits: 0,
+            frequency_count: 0,
+            layers: heapless::Vec::new(),
+            sampler: SamplerShape {
+                kind: SamplerKind::ClipCodes,
+                component_count: 0,
+                member_count: 0,
+                interval_count: 0,
+                step_max_q16: 0,
+            },
+            time_table_frames: 0,
+            time_table_shift: 0,
+            provenance: Provenance { config_hash: [0; 32], seed: 0 },
+        }
+    }
 }
 
 impl ActivationScale {

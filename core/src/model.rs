@@ -41,15 +41,18 @@ pub struct Model<'a> {
 }
 
 impl<'a> Model<'a> {
-    const EMPTY: Self = Self {
-        manifest: Manifest::EMPTY,
-        names: &[],
-        frequencies: &[],
-        time_table: &[],
-        sampler: Sampler::EMPTY,
-        layers: heapless::Vec::new(),
-        time_products_max: 0,
-    };
+    /// Of nothing. A function and no constant, which would lie in flash to be copied.
+    fn empty() -> Self {
+        Self {
+            manifest: Manifest::empty(),
+            names: &[],
+            frequencies: &[],
+            time_table: &[],
+            sampler: Sampler::empty(),
+            layers: heapless::Vec::new(),
+            time_products_max: 0,
+        }
+    }
 
     /// Checks a blob completely.
     ///
@@ -60,7 +63,7 @@ impl<'a> Model<'a> {
     /// Reads every byte about twice: CRC-32, then the accumulator certificate of each row.
     pub fn from_bytes(bytes: &'a [u8]) -> Result<Self, BlobError> {
         // Filled in where the caller wants it: a model on its way through several frames is most of the stack.
-        let mut result = Ok(Self::EMPTY);
+        let mut result = Ok(Self::empty());
         if let Ok(model) = &mut result
             && let Err(error) = model.load(bytes)
         {

@@ -67,22 +67,24 @@ impl Interval {
 
 impl<'a> Sampler<'a> {
     /// Without any table.
-    pub const EMPTY: Self = Self {
-        kind: SamplerKind::ClipCodes,
-        sequence_code_count: 0,
-        action_code_count: 0,
-        action_count: 0,
-        component_count: 0,
-        member_count: 0,
-        step_max_q16: 0,
-        action_codes: &[],
-        components: &[],
-        component_steps: &[],
-        deviations: &[],
-        deviation_steps: &[],
-        members: &[],
-        intervals: &[],
-    };
+    pub fn empty() -> Self {
+        Self {
+            kind: SamplerKind::ClipCodes,
+            sequence_code_count: 0,
+            action_code_count: 0,
+            action_count: 0,
+            component_count: 0,
+            member_count: 0,
+            step_max_q16: 0,
+            action_codes: &[],
+            components: &[],
+            component_steps: &[],
+            deviations: &[],
+            deviation_steps: &[],
+            members: &[],
+            intervals: &[],
+        }
+    }
 
     pub fn new(manifest: &Manifest<'_>) -> Self {
         Self {
@@ -93,7 +95,7 @@ impl<'a> Sampler<'a> {
             component_count: manifest.sampler.component_count,
             member_count: manifest.sampler.member_count,
             step_max_q16: manifest.sampler.step_max_q16,
-            ..Self::EMPTY
+            ..Self::empty()
         }
     }
 

@@ -24,18 +24,19 @@ include!(concat!(env!("OUT_DIR"), "/width.rs"));
 static mut SERVO: i32 = 0;
 
 /// What moves.
-struct Motion {
+struct Motion<'m> {
     random: Pcg32,
-    code: Code,
-    pose: Pose,
+    code: &'m mut Code,
+    pose: &'m mut Pose,
 }
 
 #[entry]
 fn main() -> ! {
     // `entry` hands these out as exclusive references: what is large lies in statics, not on the stack.
     static mut WORKSPACE: Workspace<WORKSPACE_WIDTH> = Workspace::new();
-    static mut MOTION: Motion =
-        Motion { random: Pcg32::new(1), code: Code::new(), pose: Pose::new() };
+    static mut CODE: Code = Code::new();
+    static mut POSE: Pose = Pose::new();
+    let mut motion = Motion { random: Pcg32::new(1), code: CODE, pose: POSE };
     let blob = blob_partition::blob();
     #[cfg(feature = "forbidden")]
     core::hint::black_box(forbidden(blob));
@@ -44,7 +45,7 @@ fn main() -> ! {
         && let Ok(mut decoder) = Decoder::new(model, WORKSPACE)
     {
         for action in (0..model.manifest().action_count).cycle() {
-            move_once(model, ActionId(action), &mut decoder, MOTION);
+            move_once(model, ActionId(action), &mut decoder, &mut motion);
         }
     }
     stop()
@@ -55,7 +56,7 @@ fn move_once(
     model: &Model<'_>,
     action: ActionId,
     decoder: &mut Decoder<'_, '_>,
-    Motion { random, code, pose }: &mut Motion,
+    Motion { random, code, pose }: &mut Motion<'_>,
 ) {
     let frames = *model.trained_frames(action).start();
     if model.sample_into(action, frames, &mut || random.next_u32(), code).is_err() {
