@@ -158,11 +158,11 @@ fn activate<const FRAMES: usize>(
             Products::Of(input) => accumulate_frames(layer, block, input, &mut sums),
             Products::Stored(rows, shift) => add_stored(rows, shift, index, &mut sums),
         }
-        for (frame, mut sums) in sums.into_iter().enumerate() {
+        for (frame, sums) in sums.iter_mut().enumerate() {
             for (sum, scale) in sums.iter_mut().zip(&requantizers) {
                 *sum = layer.elu.apply(scale.apply_narrow(*sum));
             }
-            store_frame(next.order, output, index, frame, sums);
+            store_frame(next.order, output, index, frame, *sums);
         }
     }
     fill(layer, next, output);
@@ -316,7 +316,9 @@ fn store(order: Order, quads: &mut [Quad], index: usize, values: [i32; 4]) {
     let [a, b, c, d] = values;
     let quad = match order {
         Order::Halfwords => [pack(256 * a - b, 256 * c - d), pack(b, d)],
+        #[cfg(karakuri_rows)]
         Order::WideRows => [pack(a, b), pack(c, d)],
+        #[cfg(karakuri_rows)]
         Order::ByteRows => {
             let bytes = values.map(|value| value as u8);
             if let Some(word) = quads.as_flattened_mut().get_mut(index) {

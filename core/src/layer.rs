@@ -127,7 +127,10 @@ impl<'a> Layer<'a> {
     /// Accumulator → next format, four rows at a time; integer formats.
     pub fn requantizers(&self) -> impl Iterator<Item = [Requantizer; BLOCK_ROWS]> + use<'a> {
         let requantizer = |bits: i32| Requantizer::from_checked_bits(bits.cast_unsigned());
-        fours(self.scales).map(move |words| words.map(requantizer))
+        let all = move |[a, b, c, d]: Sums| {
+            [requantizer(a), requantizer(b), requantizer(c), requantizer(d)]
+        };
+        fours(self.scales).map(all)
     }
 
     /// Checks scales and, for the integer formats, the certificate: the products of a row and its bias together stay
@@ -249,7 +252,11 @@ fn bytes_of_halfwords(word: u32) -> u32 {
 /// The `i32`s of a tensor, four at a time.
 pub(crate) fn fours(bytes: &[u8]) -> impl Iterator<Item = Sums> + '_ {
     let words = bytes.as_chunks().0;
-    words.as_chunks().0.iter().map(|four| four.each_ref().map(|word| i32::from_le_bytes(*word)))
+    // Not `map` on the array, which is a loop with a copy where code is compiled for size.
+    words.as_chunks().0.iter().map(|&[a, b, c, d]: &[[u8; 4]; 4]| {
+        let number = i32::from_le_bytes;
+        [number(a), number(b), number(c), number(d)]
+    })
 }
 
 /// Largest magnitude of a stored input of a layer.
