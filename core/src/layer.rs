@@ -240,7 +240,8 @@ fn nibble_magnitudes(word: u32) -> u32 {
 
 /// Σ|w| of four weights, a byte each.
 fn byte_magnitudes(word: u32) -> u32 {
-    word.to_le_bytes().map(|byte| u32::from(byte.cast_signed().unsigned_abs())).iter().sum()
+    let magnitude = |shift: u32| u32::from(((word >> shift) as i8).unsigned_abs());
+    magnitude(0) + magnitude(8) + magnitude(16) + magnitude(24)
 }
 
 /// Two halfwords `256·w1 + w0` as bytes: the upper one gets back what the lower one took from it.
