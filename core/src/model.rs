@@ -41,8 +41,9 @@ pub struct Model<'a> {
 }
 
 impl<'a> Model<'a> {
-    /// Of nothing. A function and no constant, which would lie in flash to be copied.
-    fn empty() -> Self {
+    /// A model of nothing, to be filled by [`load`](Self::load): it has no actions and no channels.
+    // Not `const`: a constant would lie in flash, to be copied from there.
+    pub fn empty() -> Self {
         Self {
             manifest: Manifest::empty(),
             names: &[],
@@ -62,18 +63,29 @@ impl<'a> Model<'a> {
     /// # Cost
     /// Reads every byte about twice: CRC-32, then the accumulator certificate of each row.
     pub fn from_bytes(bytes: &'a [u8]) -> Result<Self, BlobError> {
-        // Filled in where the caller wants it: a model on its way through several frames is most of the stack.
-        let mut result = Ok(Self::empty());
-        if let Ok(model) = &mut result
-            && let Err(error) = model.load(bytes)
-        {
-            result = Err(error);
+        let mut model = Self::empty();
+        model.load(bytes)?;
+        Ok(model)
+    }
+
+    /// [`from_bytes`](Self::from_bytes) into a model that lies where it is needed, [`empty`](Self::empty) before: half
+    /// of the stack, because nothing has to be moved. After an error the model is empty.
+    ///
+    /// # Errors
+    /// As [`from_bytes`](Self::from_bytes).
+    pub fn load(&mut self, bytes: &'a [u8]) -> Result<(), BlobError> {
+        self.layers.clear();
+        self.manifest.layers.clear();
+        let result = self.fill(bytes);
+        if result.is_err() {
+            self.layers.clear();
+            self.sampler.action_count = 0;
         }
         result
     }
 
     #[inline(never)]
-    fn load(&mut self, bytes: &'a [u8]) -> Result<(), BlobError> {
+    fn fill(&mut self, bytes: &'a [u8]) -> Result<(), BlobError> {
         let envelope = Envelope::parse(bytes)?;
         self.read_manifest(envelope.descriptions)?;
         manifest_check::check(&self.manifest, bytes)?;
@@ -410,6 +422,29 @@ mod tests {
                     blob[index] ^= flip;
                 }
             }
+        }
+    }
+
+    #[test]
+    fn model_is_empty_after_a_blob_that_was_rejected() {
+        let good = w8a16();
+        let mut bad = good.clone();
+        *bad.last_mut().unwrap() ^= 1;
+        let mut unchecked = good.clone();
+        unchecked[HEADER_BYTES + 9] ^= 0xFF;
+        crate::blob::seal_again(&mut unchecked);
+        let mut model = Model::empty();
+        for blob in [&bad, &unchecked] {
+            assert!(model.load(&good).is_ok());
+            assert!(model.load(blob).is_err());
+            assert!(model.sample(ActionId(0), 20, &mut || 0).is_err());
+            let mut workspace = crate::Workspace::<16>::new();
+            let mut pose = crate::Pose::new();
+            if let Ok(mut decoder) = crate::Decoder::new(&model, &mut workspace) {
+                decoder.start(&Code::new());
+                decoder.decode(crate::FramePosition::from_bits(0), &mut pose);
+            }
+            assert!(pose.channels().is_empty());
         }
     }
 

@@ -22,7 +22,8 @@ pub(crate) struct Sampler<'a> {
     kind: SamplerKind,
     sequence_code_count: usize,
     action_code_count: usize,
-    action_count: u16,
+    /// No action beyond it is ever sampled; 0 in an empty model.
+    pub action_count: u16,
     component_count: u32,
     member_count: u32,
     step_max_q16: u32,

@@ -40,12 +40,12 @@ fn main() -> ! {
     let blob = blob_partition::blob();
     #[cfg(feature = "forbidden")]
     core::hint::black_box(forbidden(blob));
-    let model = Model::from_bytes(blob);
-    if let Ok(model) = &model
-        && let Ok(mut decoder) = Decoder::new(model, WORKSPACE)
+    let mut model = Model::empty();
+    if model.load(blob).is_ok()
+        && let Ok(mut decoder) = Decoder::new(&model, WORKSPACE)
     {
         for action in (0..model.manifest().action_count).cycle() {
-            move_once(model, ActionId(action), &mut decoder, &mut motion);
+            move_once(&model, ActionId(action), &mut decoder, &mut motion);
         }
     }
     stop()
