@@ -74,14 +74,23 @@ impl<'a> Model<'a> {
     /// # Errors
     /// As [`from_bytes`](Self::from_bytes).
     pub fn load(&mut self, bytes: &'a [u8]) -> Result<(), BlobError> {
-        self.layers.clear();
-        self.manifest.layers.clear();
+        self.clear();
         let result = self.fill(bytes);
         if result.is_err() {
-            self.layers.clear();
-            self.sampler.action_count = 0;
+            self.clear();
         }
         result
+    }
+
+    /// Whatever is left over, nobody can reach it.
+    #[inline(never)]
+    fn clear(&mut self) {
+        self.layers.clear();
+        self.sampler.action_count = 0;
+        self.manifest.layers.clear();
+        self.manifest.group_count = 0;
+        self.manifest.action_count = 0;
+        self.manifest.joint_count = 0;
     }
 
     #[inline(never)]
@@ -438,6 +447,7 @@ mod tests {
             assert!(model.load(&good).is_ok());
             assert!(model.load(blob).is_err());
             assert!(model.sample(ActionId(0), 20, &mut || 0).is_err());
+            assert_eq!((model.actions().count(), model.channel_count()), (0, 0));
             let mut workspace = crate::Workspace::<16>::new();
             let mut pose = crate::Pose::new();
             if let Ok(mut decoder) = crate::Decoder::new(&model, &mut workspace) {
