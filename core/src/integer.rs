@@ -13,6 +13,7 @@ use crate::manifest::{CODE_LAYER, TIME_LAYER};
 use crate::model::Model;
 use crate::packing::BLOCK_ROWS;
 use crate::pose::Pose;
+use crate::requantize::Requantizer;
 use crate::time_embedding::{FramePosition, stored_sinusoids};
 use crate::workspace::Buffers;
 
@@ -160,11 +161,13 @@ fn activate<const FRAMES: usize>(
             Products::Of(input) => accumulate_frames(layer, block, input, &mut sums),
             Products::Stored(rows, shift) => add_stored(rows, shift, index, &mut sums),
         }
-        for (frame, sums) in sums.iter_mut().enumerate() {
-            for (sum, scale) in sums.iter_mut().zip(&requantizers) {
-                *sum = layer.elu.apply(scale.apply_narrow(*sum));
-            }
-            store_frame(next.order, output, index, frame, *sums);
+        let activation = |sum, scale: Requantizer| layer.elu.apply(scale.apply_narrow(sum));
+        let [scale_a, scale_b, scale_c, scale_d] = requantizers;
+        // Written out, so that all four stay in registers.
+        for (frame, &[a, b, c, d]) in sums.iter().enumerate() {
+            let [a, b] = [activation(a, scale_a), activation(b, scale_b)];
+            let [c, d] = [activation(c, scale_c), activation(d, scale_d)];
+            store_frame(next.order, output, index, frame, [a, b, c, d]);
         }
     }
     fill(layer, next, output);

@@ -126,6 +126,10 @@ impl Toolchain {
             command.arg("--config").arg(setting("linker", &format!("{GNU_LINKER:?}")));
         }
         command.arg("--config").arg(setting("rustflags", &format!("{flags:?}")));
+        if self.target == Target::CortexM55 {
+            // The vectoriser works at this level only, and for the whole program.
+            command.args(["--config", "profile.release.opt-level=3"]);
+        }
         if self.library == Library::FromSource {
             command.arg("-Zbuild-std=core").env("RUSTC_BOOTSTRAP", "1");
         }
