@@ -32,7 +32,6 @@ void qemu_plugin_register_vcpu_tb_trans_cb(plugin_id, translate_callback *);
 void qemu_plugin_register_vcpu_insn_exec_cb(struct qemu_plugin_insn *, execute_callback *, int flags, void *argument);
 size_t qemu_plugin_tb_n_insns(const struct qemu_plugin_tb *);
 struct qemu_plugin_insn *qemu_plugin_tb_get_insn(const struct qemu_plugin_tb *, size_t);
-size_t qemu_plugin_insn_size(const struct qemu_plugin_insn *);
 uint64_t qemu_plugin_insn_vaddr(const struct qemu_plugin_insn *);
 #if PLUGIN_API >= 3
 size_t qemu_plugin_insn_data(const struct qemu_plugin_insn *, void *destination, size_t length);
@@ -89,11 +88,12 @@ static uint16_t first_halfword(const struct qemu_plugin_insn *instruction) {
 static void on_translate(plugin_id id, struct qemu_plugin_tb *block) {
     for (size_t i = 0; i < qemu_plugin_tb_n_insns(block); i++) {
         struct qemu_plugin_insn *instruction = qemu_plugin_tb_get_insn(block, i);
-        int is_narrow = qemu_plugin_insn_size(instruction) == 2;
+        // No question of its size: four bytes before the end of a page, QEMU looks at the next instruction as well and
+        // says 4. No wide instruction begins with these halfwords.
         uint16_t opcode = first_halfword(instruction);
         execute_callback *callback = on_other;
-        if (is_narrow && opcode == REGION_BEGINS) callback = on_begin;
-        if (is_narrow && opcode == REGION_ENDS) callback = on_end;
+        if (opcode == REGION_BEGINS) callback = on_begin;
+        if (opcode == REGION_ENDS) callback = on_end;
         uint64_t *counter = counter_at((uint32_t)qemu_plugin_insn_vaddr(instruction));
         qemu_plugin_register_vcpu_insn_exec_cb(instruction, callback, CALLBACK_READS_NO_REGISTERS, counter);
     }
