@@ -10,17 +10,21 @@ pub struct Code {
 }
 
 impl Code {
+    /// A code without numbers, to be filled by [`Model::sample_into`](crate::Model::sample_into).
+    pub const fn new() -> Self {
+        Self { values: heapless::Vec::new() }
+    }
+
     /// The numbers, β then α.
     pub fn values(&self) -> &[i16] {
         &self.values
     }
 
     /// Adds numbers at the end. The loader has checked that all numbers of a model's codes fit; more would be dropped.
-    pub(crate) fn append(mut self, numbers: impl Iterator<Item = i16>) -> Self {
+    pub(crate) fn append(&mut self, numbers: impl Iterator<Item = i16>) {
         for number in numbers {
             let _ = self.values.push(number);
         }
-        self
     }
 
     /// Moves this code towards `other` by `fraction` (Q0.16: 65,536 is all the way), per number, rounded to nearest.

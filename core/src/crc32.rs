@@ -24,7 +24,13 @@ const TABLE: [u32; 16] = {
 
 /// CRC-32 of the concatenation of `parts`.
 pub(crate) fn crc32<'a>(parts: impl IntoIterator<Item = &'a [u8]>) -> u32 {
-    !parts.into_iter().flatten().fold(u32::MAX, |crc, &byte| nibble(nibble(crc ^ u32::from(byte))))
+    let mut crc = u32::MAX;
+    for part in parts {
+        for &byte in part {
+            crc = nibble(nibble(crc ^ u32::from(byte)));
+        }
+    }
+    !crc
 }
 
 fn nibble(crc: u32) -> u32 {

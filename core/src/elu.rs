@@ -38,7 +38,7 @@ pub(crate) const POWER_BITS: u32 = 27;
 /// # Accuracy
 /// Against f64 over the whole domain: 1.7 LSB max, 0.45 LSB RMS of 2^-16
 /// (asserted by `power_error_over_the_whole_domain`).
-#[inline]
+#[inline(always)]
 pub(crate) fn one_minus_exp2(power: u32) -> u32 {
     let index = (power >> 20) as usize % STEPS;
     let within = (power >> 4) & 0xFFFF; // Q0.16
@@ -58,18 +58,21 @@ pub(crate) struct Elu {
 }
 
 impl Elu {
-    /// Of a layer that has no activation.
-    pub const NONE: Self = Self { scale: ActivationScale::NONE, magnitude_max: 0, range: (0, 0) };
-
-    /// `None` when the stored scale is unusable.
-    pub fn new(scale: ActivationScale, format: NumberFormat) -> Option<Self> {
+    /// Whether a stored scale is usable.
+    pub fn is_valid(scale: &ActivationScale, format: NumberFormat) -> bool {
         let (low, high) = format.activation_range();
-        let valid = scale.fraction_bits <= 8
+        scale.power_step != 0
+            && scale.fraction_bits <= 8
             && scale.one < 1 << 15
             && scale.one_shift <= 30
-            && (low..=high).contains(&scale.zero_point);
-        let magnitude_max = u32::MAX.checked_div(scale.power_step)?;
-        valid.then_some(Self { scale, magnitude_max, range: (i32::from(low), i32::from(high)) })
+            && (low..=high).contains(&scale.zero_point)
+    }
+
+    /// Of a scale that the loader has found valid; of any other the result means nothing, but nothing worse happens.
+    pub fn new(scale: ActivationScale, format: NumberFormat) -> Self {
+        let (low, high) = format.activation_range();
+        let magnitude_max = u32::MAX.checked_div(scale.power_step).unwrap_or(0);
+        Self { scale, magnitude_max, range: (i32::from(low), i32::from(high)) }
     }
 
     /// Stored activation of real 0.
@@ -85,7 +88,7 @@ impl Elu {
     /// # Accuracy
     /// Against f64, before clamping: 0.5 stored units for x ≥ 0; for x < 0, 1 unit + 2.2·2^-16 where a unit is at
     /// least 2^-13 (asserted by `elu_error_over_the_whole_domain`).
-    #[inline]
+    #[inline(always)]
     pub fn apply(&self, x: i32) -> i32 {
         let bits = u32::from(self.scale.fraction_bits) & 15;
         // The zero point lies within the range, so each side can only leave it at one end.
@@ -99,7 +102,7 @@ impl Elu {
     }
 
     /// `1 − e^−magnitude` in stored units.
-    #[inline]
+    #[inline(always)]
     fn fall(&self, magnitude: u32) -> i32 {
         let power = magnitude.min(self.magnitude_max).wrapping_mul(self.scale.power_step);
         let shift = u32::from(self.scale.one_shift) & 31;
@@ -137,17 +140,17 @@ mod tests {
             ActivationScale { one_shift: 31, ..good },
             ActivationScale { fraction_bits: 9, ..good },
         ];
-        assert!(Elu::new(good, NumberFormat::W8A16).is_some());
+        assert!(Elu::is_valid(&good, NumberFormat::W8A16));
         for scale in bad {
-            assert!(Elu::new(scale, NumberFormat::W8A16).is_none(), "{scale:?}");
+            assert!(!Elu::is_valid(&scale, NumberFormat::W8A16), "{scale:?}");
         }
         let far = ActivationScale { zero_point: 128, ..good };
-        assert!(Elu::new(far, NumberFormat::W8A8).is_none());
+        assert!(!Elu::is_valid(&far, NumberFormat::W8A8));
     }
 
     #[test]
     fn elu_saturates_at_both_ends() {
-        let elu = Elu::new(scale(1e-3, 0), NumberFormat::W8A16).unwrap();
+        let elu = Elu::new(scale(1e-3, 0), NumberFormat::W8A16);
         assert_eq!(elu.apply(1 << 30), 32_767);
         assert_eq!(elu.apply(-(1 << 30)), -1000);
         assert_eq!(elu.apply(i32::MIN), -1000);
@@ -169,7 +172,7 @@ mod tests {
     fn elu_error_over_the_whole_domain() {
         for (unit, bits) in [(1.0 / 8192.0, 0), (3e-4, 0), (1e-3, 0), (0.011, 8), (0.08, 8)] {
             let format = if bits == 0 { NumberFormat::W8A16 } else { NumberFormat::W8A8 };
-            let elu = Elu::new(scale(unit, bits), format).unwrap();
+            let elu = Elu::new(scale(unit, bits), format);
             let fine = unit / f64::from(1 << bits);
             let (mut worst, mut sum, mut count) = (0.0f64, 0.0, 0.0);
             let lowest = -(14.0 / fine) as i32;

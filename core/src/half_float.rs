@@ -10,7 +10,7 @@ use crate::elu::{POWER_BITS, one_minus_exp2};
 use crate::kernel;
 use crate::layer::Layer;
 use crate::little_endian::{i32s, u32s};
-use crate::manifest::TIME_LAYER;
+use crate::manifest::{CODE_LAYER, TIME_LAYER};
 use crate::model::Model;
 use crate::pose::Pose;
 use crate::time_embedding::{FramePosition, sinusoids};
@@ -18,7 +18,7 @@ use crate::workspace::FloatBuffers;
 
 /// `folded = weights · code + bias`.
 pub(crate) fn fold(model: &Model<'_>, buffers: &mut FloatBuffers<'_>, code: &Code) {
-    let Some(layer) = model.layers.first() else {
+    let Some(layer) = &model.layer(CODE_LAYER) else {
         return;
     };
     let unit = 1.0 / (1u32 << (model.manifest().code_fraction_bits & 31)) as f32;
@@ -36,7 +36,7 @@ pub(crate) fn decode(
     pose: &mut Pose,
     observe: &mut impl FnMut(Stage),
 ) {
-    let [_, time_half, hidden @ .., last] = model.layers.as_slice() else {
+    let Some(time_half) = &model.layer(TIME_LAYER) else {
         return;
     };
     let (mut front, mut back) = (&mut *buffers.front, &mut *buffers.back);
@@ -47,20 +47,29 @@ pub(crate) fn decode(
     observe(Stage::TimeEmbedding);
     let starts = buffers.folded.iter().copied();
     dense(time_half, starts, front, |row, sum| set(back, row, elu(sum)));
-    observe(Stage::Layer(TIME_LAYER));
-    for (index, layer) in hidden.iter().enumerate() {
+    let mut index = TIME_LAYER;
+    observe(Stage::Layer(index));
+    while let Some(layer) = &model.layer(index + 1) {
+        index += 1;
         core::mem::swap(&mut front, &mut back);
+        if index + 1 == model.manifest().layers.len() {
+            write_pose(layer, front, pose);
+            break;
+        }
         dense(layer, floats(layer.bias), front, |row, sum| set(back, row, elu(sum)));
-        observe(Stage::Layer(TIME_LAYER + 1 + index));
+        observe(Stage::Layer(index));
     }
+    observe(Stage::Output);
+}
+
+fn write_pose(layer: &Layer<'_>, input: &[f32], pose: &mut Pose) {
     pose.channels.clear();
-    dense(last, floats(last.bias), back, |row, sum| {
-        if row < usize::from(last.shape.output_count) {
+    dense(layer, floats(layer.bias), input, |row, sum| {
+        if row < usize::from(layer.shape.output_count) {
             // The loader has checked that all channels fit.
             let _ = pose.channels.push(q16(sum));
         }
     });
-    observe(Stage::Output);
 }
 
 /// Hands `weights · input + start` of every row to `sink`, in order.

@@ -7,9 +7,9 @@
 use crate::code::Code;
 use crate::decoder::Stage;
 use crate::kernel::{self, Quad};
-use crate::layer::{Layer, Order, Sums, fours};
+use crate::layer::{Inputs, Layer, Order, Sums, fours};
 use crate::little_endian::u32s;
-use crate::manifest::TIME_LAYER;
+use crate::manifest::{CODE_LAYER, TIME_LAYER};
 use crate::model::Model;
 use crate::packing::BLOCK_ROWS;
 use crate::pose::Pose;
@@ -22,13 +22,13 @@ pub(crate) fn fold<const FRAMES: usize>(
     buffers: &mut Buffers<'_, FRAMES>,
     code: &Code,
 ) {
-    let [code_half, time_half, ..] = model.layers.as_slice() else {
+    let Some(code_half) = &model.layer(CODE_LAYER) else {
         return;
     };
     let front = buffers.front.as_flattened_mut();
     let back = buffers.back.as_flattened_mut();
     store_code(code_half, &code.values, front, back);
-    let room = time_half.room();
+    let room = model.time_room();
     let rows = code_half.blocks().zip(code_half.biases()).zip(code_half.requantizers());
     for (folded, ((block, bias), requantizers)) in buffers.folded.iter_mut().zip(rows) {
         let sums = code_products(code_half, block, front, back, bias);
@@ -47,7 +47,7 @@ fn store_code(layer: &Layer<'_>, code: &[i16], upper: &mut [Quad], lower: &mut [
         let mut values = [0; 4];
         let given = code.get(4 * index..).unwrap_or_default();
         values.iter_mut().zip(given).for_each(|(place, &value)| *place = i32::from(value));
-        if layer.order == Order::Nibbles {
+        if layer.order.is_nibbles() {
             let above = values.map(|value| (value + 128) >> 8);
             store(layer.order, upper, index, above);
             store(layer.order, lower, index, values.map(|value| i32::from(value as i8)));
@@ -66,7 +66,7 @@ fn code_products(
 ) -> Sums {
     let mut sums = bias;
     accumulate(layer, block, upper, &mut sums);
-    if layer.order == Order::Nibbles {
+    if layer.order.is_nibbles() {
         let mut fraction = [0; 4];
         accumulate(layer, block, lower, &mut fraction);
         sums.iter_mut().zip(fraction).for_each(|(sum, lower)| *sum = sum.wrapping_add(lower >> 8));
@@ -82,11 +82,11 @@ pub(crate) fn decode<const FRAMES: usize>(
     poses: [&mut Pose; FRAMES],
     observe: &mut impl FnMut(Stage),
 ) {
-    let [_, time_half, hidden @ .., last] = model.layers.as_slice() else {
+    let (Some(time_half), Some(next)) = (&model.layer(TIME_LAYER), model.inputs(TIME_LAYER + 1))
+    else {
         return;
     };
     let (mut front, mut back) = (&mut *buffers.front, &mut *buffers.back);
-    let next = hidden.first().unwrap_or(last);
     let folded = bytemuck::must_cast_slice(buffers.folded);
     let products = match time_table_rows(model, positions) {
         Some(rows) => Products::Stored(rows, model.manifest().time_table_shift),
@@ -96,15 +96,20 @@ pub(crate) fn decode<const FRAMES: usize>(
         }
     };
     observe(Stage::TimeEmbedding);
+    let mut index = TIME_LAYER;
     activate(time_half, folded, products, next, back);
-    observe(Stage::Layer(TIME_LAYER));
-    for (index, layer) in hidden.iter().enumerate() {
+    observe(Stage::Layer(index));
+    while let Some(layer) = model.layer(index + 1) {
+        index += 1;
         core::mem::swap(&mut front, &mut back);
-        let next = hidden.get(index + 1).unwrap_or(last);
-        activate(layer, layer.bias, Products::Of(inputs_of(layer, front)), next, back);
-        observe(Stage::Layer(TIME_LAYER + 1 + index));
+        let input = inputs_of(&layer, front);
+        let Some(next) = model.inputs(index + 1) else {
+            write_poses(&layer, input, poses);
+            break;
+        };
+        activate(&layer, layer.bias, Products::Of(input), next, back);
+        observe(Stage::Layer(index));
     }
-    write_poses(last, inputs_of(last, back), poses);
     observe(Stage::Output);
 }
 
@@ -115,7 +120,7 @@ pub(crate) fn time_products(
     position: FramePosition,
     mut sink: impl FnMut(Sums),
 ) {
-    let [_, time_half, ..] = model.layers.as_slice() else {
+    let Some(time_half) = &model.layer(TIME_LAYER) else {
         return;
     };
     embed(model, time_half, [position], buffers.front);
@@ -144,7 +149,7 @@ fn activate<const FRAMES: usize>(
     layer: &Layer<'_>,
     starts: &[u8],
     products: Products<'_, FRAMES>,
-    next: &Layer<'_>,
+    next: Inputs,
     output: &mut [[Quad; FRAMES]],
 ) {
     // Both of known length first: one counter serves them.
@@ -155,11 +160,11 @@ fn activate<const FRAMES: usize>(
             Products::Of(input) => accumulate_frames(layer, block, input, &mut sums),
             Products::Stored(rows, shift) => add_stored(rows, shift, index, &mut sums),
         }
-        for (frame, mut sums) in sums.into_iter().enumerate() {
+        for (frame, sums) in sums.iter_mut().enumerate() {
             for (sum, scale) in sums.iter_mut().zip(&requantizers) {
                 *sum = layer.elu.apply(scale.apply_narrow(*sum));
             }
-            store_frame(next.order, output, index, frame, sums);
+            store_frame(next.order, output, index, frame, *sums);
         }
     }
     fill(layer, next, output);
@@ -186,8 +191,8 @@ fn add_stored<const FRAMES: usize>(
 
 /// Activations that only fill the next layer's last tile are real zeros.
 #[inline(never)]
-fn fill<const FRAMES: usize>(layer: &Layer<'_>, next: &Layer<'_>, output: &mut [[Quad; FRAMES]]) {
-    for index in layer.shape.rows_filled() / 4..next.shape.columns_filled() / 4 {
+fn fill<const FRAMES: usize>(layer: &Layer<'_>, next: Inputs, output: &mut [[Quad; FRAMES]]) {
+    for index in layer.shape.rows_filled() / 4..next.quads {
         for frame in 0..FRAMES {
             store_frame(next.order, output, index, frame, [layer.elu.zero_point(); 4]);
         }
@@ -318,7 +323,9 @@ fn store(order: Order, quads: &mut [Quad], index: usize, values: [i32; 4]) {
     let [a, b, c, d] = values;
     let quad = match order {
         Order::Halfwords => [pack(256 * a - b, 256 * c - d), pack(b, d)],
+        #[cfg(karakuri_rows)]
         Order::WideRows => [pack(a, b), pack(c, d)],
+        #[cfg(karakuri_rows)]
         Order::ByteRows => {
             let bytes = values.map(|value| value as u8);
             if let Some(word) = quads.as_flattened_mut().get_mut(index) {

@@ -1,22 +1,25 @@
 //! One fully connected layer as it lies in flash, and the proof that its accumulators cannot overflow.
 
+use crate::blob::ALIGNMENT;
 use crate::elu::Elu;
 use crate::error::BlobError;
-use crate::kernel::{GROUP_SCALE_BYTES, GROUP_TILES, TILE_BYTES};
+use crate::kernel::TILE_BYTES;
+#[cfg(feature = "w4a8")]
+use crate::kernel::{GROUP_SCALE_BYTES, GROUP_TILES};
 use crate::little_endian::{i32s, u16s, u32s};
-use crate::manifest::{
-    CODE_LAYER, LayerShape, NumberFormat, Packing, TIME_LAYER, TensorKind, WeightFormat,
-};
-use crate::packing::{BLOCK_ROWS, ByteLayout, nibble_weight};
+use crate::manifest::{CODE_LAYER, LayerShape, Manifest, NumberFormat, TIME_LAYER, WeightFormat};
+use crate::packing::{BLOCK_ROWS, ByteLayout};
 use crate::requantize::Requantizer;
 
 /// Four accumulators, one a row of a block.
 pub(crate) type Sums = [i32; BLOCK_ROWS];
 
 /// Tensors of one layer; which of them are empty depends on format and position, see `tensor_plan`.
+///
+/// A view that is made anew for every use: a model with ten of them would be twice as large.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Layer<'a> {
-    pub shape: LayerShape,
+    pub shape: &'a LayerShape,
     /// See `packing.rs`.
     pub weights: &'a [u8],
     /// u16. // (block, group, row)
@@ -29,8 +32,6 @@ pub(crate) struct Layer<'a> {
     pub order: Order,
     /// Pre-activation → stored activation.
     pub elu: Elu,
-    /// Largest magnitude that the products of any row can reach together.
-    products_max: i32,
 }
 
 /// What the kernel of a layer expects of weights and activations.
@@ -50,24 +51,37 @@ pub(crate) enum Order {
     Half,
 }
 
+/// Order and number of the quads that a layer reads.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Inputs {
+    pub order: Order,
+    pub quads: usize,
+}
+
 impl Order {
     /// Of a layer by its place; the code half takes 16-bit codes in every integer format.
-    fn new(weights: WeightFormat, packing: Packing, format: NumberFormat, index: usize) -> Self {
-        let activations_are_bytes = index != CODE_LAYER && format.activation_range().1 == 127;
-        match weights {
+    pub fn of(manifest: &Manifest<'_>, index: usize) -> Option<Self> {
+        let has_bytes = manifest.number_format.activation_range().1 == 127;
+        let activations_are_bytes = has_bytes && index != CODE_LAYER;
+        Some(match manifest.layers.get(index)?.weights {
             WeightFormat::Half => Self::Half,
             WeightFormat::I4 => Self::Nibbles,
-            WeightFormat::I8 => match ByteLayout::new(packing, activations_are_bytes) {
+            WeightFormat::I8 => match ByteLayout::new(manifest.packing, activations_are_bytes) {
                 ByteLayout::Bytes => Self::Bytes,
                 ByteLayout::Halfwords => Self::Halfwords,
                 ByteLayout::Rows if activations_are_bytes => Self::ByteRows,
                 ByteLayout::Rows => Self::WideRows,
             },
-        }
+        })
+    }
+
+    /// Whether these are 4-bit weights, in a build that can multiply them.
+    pub const fn is_nibbles(self) -> bool {
+        cfg!(feature = "w4a8") && matches!(self, Self::Nibbles)
     }
 
     /// Accumulators per product of a weight and an activation.
-    const fn product_unit(self) -> u64 {
+    const fn product_unit(self) -> u32 {
         match self {
             Self::Halfwords | Self::ByteRows => 256,
             _ => 1,
@@ -76,27 +90,20 @@ impl Order {
 }
 
 impl<'a> Layer<'a> {
-    pub fn new(shape: LayerShape, packing: Packing, format: NumberFormat, index: usize) -> Self {
-        Self {
-            shape,
-            weights: &[],
-            group_scales: &[],
-            bias: &[],
-            scales: &[],
-            order: Order::new(shape.weights, packing, format, index),
-            elu: Elu::NONE,
-            products_max: 0,
-        }
-    }
-
-    pub fn set_tensor(&mut self, kind: TensorKind, tensor: &'a [u8]) {
-        match kind {
-            TensorKind::Weights(_) => self.weights = tensor,
-            TensorKind::GroupScales(_) => self.group_scales = tensor,
-            TensorKind::Bias(_) => self.bias = tensor,
-            TensorKind::Scales(_) => self.scales = tensor,
-            _ => {}
-        }
+    /// Cuts a layer out of `tensors`, which begin with its weights.
+    pub fn new(manifest: &'a Manifest<'_>, index: usize, tensors: &'a [u8]) -> Option<Self> {
+        let shape = manifest.layers.get(index)?;
+        let format = manifest.number_format;
+        let mut rest = tensors;
+        let [weights, group_scales, bias, scales] =
+            shape.tensor_bytes(index, format).map(|length| {
+                let tensor = rest.get(..length).unwrap_or_default();
+                rest = rest.get(length.next_multiple_of(ALIGNMENT)..).unwrap_or_default();
+                tensor
+            });
+        let order = Order::of(manifest, index)?;
+        let elu = Elu::new(shape.activation, format);
+        Some(Self { shape, weights, group_scales, bias, scales, order, elu })
     }
 
     /// Weights and group scales, four rows at a time.
@@ -120,86 +127,84 @@ impl<'a> Layer<'a> {
     /// Accumulator → next format, four rows at a time; integer formats.
     pub fn requantizers(&self) -> impl Iterator<Item = [Requantizer; BLOCK_ROWS]> + use<'a> {
         let requantizer = |bits: i32| Requantizer::from_checked_bits(bits.cast_unsigned());
-        fours(self.scales).map(move |words| words.map(requantizer))
-    }
-
-    /// Largest magnitude at which a sum can start without ever overflowing.
-    pub fn room(&self) -> i32 {
-        i32::MAX - self.products_max
+        let all = move |[a, b, c, d]: Sums| {
+            [requantizer(a), requantizer(b), requantizer(c), requantizer(d)]
+        };
+        fours(self.scales).map(all)
     }
 
     /// Checks scales and, for the integer formats, the certificate: the products of a row and its bias together stay
     /// below 2^31 whatever the activations are.
-    pub fn check(&mut self, index: usize, format: NumberFormat) -> Result<(), BlobError> {
+    ///
+    /// Returns the largest magnitude that the products of any row can reach together.
+    pub fn check(&self, manifest: &Manifest<'_>, index: usize) -> Result<i32, BlobError> {
         let bad = |field| BlobError::BadField { field, value: index as u32 };
+        let format = manifest.number_format;
         if !format.allows(self.shape.weights) {
             return Err(bad("weight format of layer"));
         }
-        if format == NumberFormat::F16 {
-            return if self.is_finite() { Ok(()) } else { Err(bad("non-finite weight in layer")) };
+        if cfg!(feature = "f16") && format == NumberFormat::F16 {
+            return if self.is_finite() { Ok(0) } else { Err(bad("non-finite weight in layer")) };
         }
-        self.elu =
-            Elu::new(self.shape.activation, format).ok_or(bad("activation scale of layer"))?;
-        if !u32s(self.scales).all(|bits| Requantizer::from_bits(bits).is_some()) {
+        if !Elu::is_valid(&self.shape.activation, format) {
+            return Err(bad("activation scale of layer"));
+        }
+        let is_hidden = index >= TIME_LAYER && index + 1 < manifest.layers.len();
+        if !self.scales_suit(is_hidden) {
             return Err(bad("row scale of layer"));
         }
         if u16s(self.group_scales).any(|scale| scale > i16::MAX as u16) {
             return Err(bad("group scale of layer"));
         }
-        self.check_rows(index, format)
+        self.products_max(index, input_magnitude_max(index, format, self.order))
     }
 
-    /// Whether every row's factor suits [`Requantizer::apply_narrow`], as hidden layers need.
-    pub fn is_narrow(&self) -> bool {
-        u32s(self.scales).all(|bits| bits & 63 >= Requantizer::NARROW_RIGHT_MIN)
+    /// Hidden layers use [`Requantizer::apply_narrow`], which not every factor suits.
+    fn scales_suit(&self, is_hidden: bool) -> bool {
+        let right_min = if is_hidden { Requantizer::NARROW_RIGHT_MIN } else { 0 };
+        u32s(self.scales).all(|bits| {
+            Requantizer::from_bits(bits).is_some_and(|scale| scale.right() >= right_min)
+        })
     }
 
-    fn check_rows(&mut self, index: usize, format: NumberFormat) -> Result<(), BlobError> {
-        let input_max = input_magnitude_max(index, format, self.order);
-        let biases = i32s(self.bias).map(i32::unsigned_abs).chain(core::iter::repeat(0));
-        for (row, bias) in (0..self.shape.rows_filled()).zip(biases) {
-            let products = self.products_max_of(row, input_max);
-            if products + u64::from(bias) > i32::MAX as u64 {
-                return Err(BlobError::AccumulatorOverflow { layer: index, row });
+    fn products_max(&self, index: usize, input_max: u32) -> Result<i32, BlobError> {
+        let mut products_max = 0;
+        let mut biases = self.biases();
+        for (block_index, block) in self.blocks().enumerate() {
+            let bias = biases.next().unwrap_or_default();
+            let products = self.block_products_max(block, input_max);
+            for (row, (products, bias)) in products.into_iter().zip(bias).enumerate() {
+                if products + u64::from(bias.unsigned_abs()) > i32::MAX as u64 {
+                    let row = BLOCK_ROWS * block_index + row;
+                    return Err(BlobError::AccumulatorOverflow { layer: index, row });
+                }
+                products_max = products_max.max(products as i32);
             }
-            self.products_max = self.products_max.max(products as i32);
         }
-        Ok(())
+        Ok(products_max)
     }
 
-    fn products_max_of(&self, row: usize, input_max: u64) -> u64 {
+    fn block_products_max(&self, block: (&[u8], &[u8]), input_max: u32) -> [u64; BLOCK_ROWS] {
+        #[cfg(feature = "w4a8")]
         if self.order == Order::Nibbles {
-            return self.nibble_products_max(row, input_max);
+            return nibble_products_max(block, input_max);
         }
-        let (block, _) = self.blocks().nth(row / BLOCK_ROWS).unwrap_or_default();
-        let row = row % BLOCK_ROWS;
-        let sum: u64 = match self.order {
-            Order::WideRows | Order::ByteRows => {
-                let columns = self.shape.columns_filled();
-                u32s(block.get(row * columns..).unwrap_or_default())
-                    .take(columns / 4)
-                    .map(byte_magnitudes)
-                    .sum()
+        #[cfg(karakuri_rows)]
+        if matches!(self.order, Order::WideRows | Order::ByteRows) {
+            let mut rows = block.0.chunks(self.shape.columns_filled());
+            let sum = |row: &[u8]| u32s(row).map(byte_magnitudes).sum::<u32>();
+            let sums = [(); BLOCK_ROWS].map(|()| rows.next().map_or(0, sum));
+            return sums
+                .map(|sum| u64::from(sum) * u64::from(input_max * self.order.product_unit()));
+        }
+        let mut sums = [0; BLOCK_ROWS];
+        for tile in block.0.as_chunks::<TILE_BYTES>().0 {
+            for (word, sum) in u32s(tile).zip(&mut sums) {
+                let is_halves = self.order == Order::Halfwords;
+                *sum += byte_magnitudes(if is_halves { bytes_of_halfwords(word) } else { word });
             }
-            Order::Halfwords => u32s(block).skip(row).step_by(4).map(halfword_magnitudes).sum(),
-            _ => u32s(block).skip(row).step_by(4).map(byte_magnitudes).sum(),
-        };
-        sum * input_max * self.order.product_unit()
-    }
-
-    /// A 4-bit code half is multiplied by both bytes of the code, the lower of them counting 1/256.
-    fn nibble_products_max(&self, row: usize, input_max: u64) -> u64 {
-        let (block, scales) = self.blocks().nth(row / BLOCK_ROWS).unwrap_or_default();
-        let groups = block.chunks(GROUP_TILES * TILE_BYTES);
-        let bound = |(tiles, scales): (&[u8], &[u8])| {
-            let words = u32s(tiles).skip(row % BLOCK_ROWS).step_by(BLOCK_ROWS);
-            let magnitude = |word| (0..8).map(move |c| nibble_weight(word, c).unsigned_abs());
-            let sum: u64 = words.flat_map(magnitude).map(u64::from).sum();
-            let scale = u16s(scales).nth(row % BLOCK_ROWS).unwrap_or(0);
-            ((sum * input_max * u64::from(scale)) >> 16) + 1
-        };
-        let products: u64 = groups.zip(scales.chunks(GROUP_SCALE_BYTES)).map(bound).sum();
-        products + (products >> 8) + 1
+        }
+        sums.map(|sum| u64::from(sum) * u64::from(input_max * self.order.product_unit()))
     }
 
     fn is_finite(&self) -> bool {
@@ -209,34 +214,59 @@ impl<'a> Layer<'a> {
     }
 }
 
-/// Σ|w| of four weights, a byte each.
-fn byte_magnitudes(word: u32) -> u64 {
-    word.to_le_bytes().map(|byte| u64::from(byte.cast_signed().unsigned_abs())).iter().sum()
+/// A 4-bit code half is multiplied by both bytes of the code, the lower of them counting 1/256.
+#[cfg(feature = "w4a8")]
+fn nibble_products_max(block: (&[u8], &[u8]), input_max: u32) -> [u64; BLOCK_ROWS] {
+    let groups = block.0.chunks(GROUP_TILES * TILE_BYTES).zip(block.1.chunks(GROUP_SCALE_BYTES));
+    let mut products = [0; BLOCK_ROWS];
+    for (tiles, scales) in groups {
+        let mut sums = [0; BLOCK_ROWS];
+        for tile in tiles.as_chunks::<TILE_BYTES>().0 {
+            u32s(tile).zip(&mut sums).for_each(|(word, sum)| *sum += nibble_magnitudes(word));
+        }
+        for ((products, sum), scale) in products.iter_mut().zip(sums).zip(u16s(scales)) {
+            *products += ((u64::from(sum * input_max) * u64::from(scale)) >> 16) + 1;
+        }
+    }
+    products.map(|products| products + (products >> 8) + 1)
 }
 
-/// Σ|w| of four weights, two in each halfword `256·w1 + w0`.
-fn halfword_magnitudes(word: u32) -> u64 {
-    let magnitude = |half: u16| {
-        let first = half as i8;
-        let second = i32::from(half.cast_signed()) - i32::from(first);
-        u64::from(first.unsigned_abs()) + u64::from((second >> 8).unsigned_abs())
-    };
-    magnitude(word as u16) + magnitude((word >> 16) as u16)
+/// Σ|w| of eight 4-bit weights, each with what lies below it, see `nibble_weight`.
+#[cfg(feature = "w4a8")]
+fn nibble_magnitudes(word: u32) -> u32 {
+    let weight = |column: u32| ((word << (4 * column)) >> 16) as i16;
+    (0..8).map(|column| u32::from(weight(column).unsigned_abs())).sum()
+}
+
+/// Σ|w| of four weights, a byte each.
+fn byte_magnitudes(word: u32) -> u32 {
+    let magnitude = |shift: u32| u32::from(((word >> shift) as i8).unsigned_abs());
+    magnitude(0) + magnitude(8) + magnitude(16) + magnitude(24)
+}
+
+/// Two halfwords `256·w1 + w0` as bytes: the upper one gets back what the lower one took from it.
+fn bytes_of_halfwords(word: u32) -> u32 {
+    let taken = (word & 0x0080_0080) << 1;
+    ((word & 0x7FFF_7FFF) + taken) ^ (word & 0x8000_8000)
 }
 
 /// The `i32`s of a tensor, four at a time.
 pub(crate) fn fours(bytes: &[u8]) -> impl Iterator<Item = Sums> + '_ {
     let words = bytes.as_chunks().0;
-    words.as_chunks().0.iter().map(|four| four.map(i32::from_le_bytes))
+    // Not `map` on the array, which is a loop with a copy where code is compiled for size.
+    words.as_chunks().0.iter().map(|&[a, b, c, d]: &[[u8; 4]; 4]| {
+        let number = i32::from_le_bytes;
+        [number(a), number(b), number(c), number(d)]
+    })
 }
 
 /// Largest magnitude of a stored input of a layer.
-fn input_magnitude_max(index: usize, format: NumberFormat, order: Order) -> u64 {
+fn input_magnitude_max(index: usize, format: NumberFormat, order: Order) -> u32 {
     match (index, order) {
         // The bytes of a code: −128..=127 below, at most 128 above.
         (CODE_LAYER, Order::Nibbles) => 128,
         (CODE_LAYER, _) => 1 << 15,
-        (TIME_LAYER, _) => format.sinusoid_one() as u64,
-        _ => u64::from(format.activation_range().1.unsigned_abs()),
+        (TIME_LAYER, _) => format.sinusoid_one() as u32,
+        _ => u32::from(format.activation_range().1.unsigned_abs()),
     }
 }

@@ -21,6 +21,7 @@ mod elu;
 pub mod random;
 pub mod manifest;
 pub mod blob;
+mod descriptions;
 pub mod packing;
 pub mod kernel;
 mod layer;

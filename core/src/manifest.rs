@@ -5,13 +5,13 @@
 //!
 //! Why here: the plan follows from the manifest, so no table of contents can disagree with it.
 
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 
 use crate::limits::LAYERS_MAX;
 use crate::pose_layout::{GroupKind, Unit};
 
 /// How weights and activations are stored and multiplied.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize)]
 pub enum NumberFormat {
     /// i8 weights with one scale a row, i16 activations, i32 accumulator.
     W8A16,
@@ -71,7 +71,7 @@ impl NumberFormat {
 }
 
 /// How the weights of one layer are stored.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize)]
 pub enum WeightFormat {
     /// i8 with one scale a row.
     I8,
@@ -82,7 +82,7 @@ pub enum WeightFormat {
 }
 
 /// In which order 8-bit weights lie; 4-bit and binary16 ones have one order only, see `packing.rs`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize)]
 pub enum Packing {
     /// Row after row: for vector units (Cortex-M55) and hosts. The assembly kernels refuse it.
     Rows,
@@ -101,7 +101,7 @@ impl Packing {
 }
 
 /// How the codes of a motion are drawn.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize)]
 pub enum SamplerKind {
     /// A training clip's own code, moved towards a neighbour's, plus noise of one shared σ.
     ClipCodes,
@@ -110,7 +110,7 @@ pub enum SamplerKind {
 }
 
 /// The first description: everything of fixed size.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Manifest<'a> {
     /// Free text: what the model was trained on.
     pub name: &'a str,
@@ -147,7 +147,7 @@ pub struct Manifest<'a> {
 }
 
 /// Size of one layer and the scale of what it hands on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct LayerShape {
     /// Inputs.
     pub input_count: u16,
@@ -160,7 +160,7 @@ pub struct LayerShape {
 }
 
 /// How the ELU of a layer is computed; [`NONE`](Self::NONE) where a layer has none.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct ActivationScale {
     /// Octaves (powers of 1/e in base 2) per unit of the pre-activation, Q5.27, at least 1.
     pub power_step: u32,
@@ -174,6 +174,36 @@ pub struct ActivationScale {
     pub fraction_bits: u8,
 }
 
+impl Manifest<'_> {
+    /// Of nothing: what the reader fills in.
+    pub(crate) fn empty() -> Self {
+        Self {
+            name: "",
+            number_format: NumberFormat::W8A16,
+            packing: Packing::Rows,
+            rate_millihz: 0,
+            group_count: 0,
+            action_count: 0,
+            joint_count: 0,
+            sequence_code_count: 0,
+            action_code_count: 0,
+            code_fraction_bits: 0,
+            frequency_count: 0,
+            layers: heapless::Vec::new(),
+            sampler: SamplerShape {
+                kind: SamplerKind::ClipCodes,
+                component_count: 0,
+                member_count: 0,
+                interval_count: 0,
+                step_max_q16: 0,
+            },
+            time_table_frames: 0,
+            time_table_shift: 0,
+            provenance: Provenance { config_hash: [0; 32], seed: 0 },
+        }
+    }
+}
+
 impl ActivationScale {
     /// Of a layer without an ELU.
     pub const NONE: Self =
@@ -181,7 +211,7 @@ impl ActivationScale {
 }
 
 /// Sizes of the sampler's tables.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct SamplerShape {
     /// What a component is.
     pub kind: SamplerKind,
@@ -196,7 +226,7 @@ pub struct SamplerShape {
 }
 
 /// What makes a model reproducible.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct Provenance {
     /// SHA-256 of the training configuration.
     pub config_hash: [u8; 32],
@@ -205,7 +235,7 @@ pub struct Provenance {
 }
 
 /// One group of channels, as stored.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct Group<'a> {
     /// Unique name: a joint or a servo.
     pub name: &'a str,
@@ -216,7 +246,7 @@ pub struct Group<'a> {
 }
 
 /// One joint of the skeleton, as stored; parents precede children.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Joint<'a> {
     /// Unique name.
     pub name: &'a str,
@@ -284,41 +314,47 @@ pub const CODE_LAYER: usize = 0;
 /// Index of the time half of layer 1 in [`Manifest::layers`].
 pub const TIME_LAYER: usize = 1;
 
+/// Tensors before those of the layers.
+const TABLES: usize = 8;
+
 /// All tensors in file order with their lengths in bytes; 64 bits, so that no manifest can overflow them.
 pub fn tensor_plan(manifest: &Manifest<'_>) -> impl Iterator<Item = (TensorKind, u64)> {
-    let sampler = manifest.sampler;
-    let code_count = u64::from(manifest.sequence_code_count);
-    let component_numbers = u64::from(sampler.component_count) * code_count;
-    let diagonal = u64::from(sampler.kind == SamplerKind::DiagonalMixture);
-    let action_numbers = u64::from(manifest.action_count) * u64::from(manifest.action_code_count);
-    let tables = [
-        (TensorKind::Frequencies, 4 * u64::from(manifest.frequency_count)),
-        (TensorKind::ActionCodes, 2 * action_numbers),
-        (TensorKind::Components, component_numbers),
-        (TensorKind::ComponentSteps, 4 * code_count),
-        (TensorKind::Deviations, diagonal * component_numbers),
-        (TensorKind::DeviationSteps, 4 * code_count),
-        (TensorKind::Members, MEMBER_BYTES as u64 * u64::from(sampler.member_count)),
-        (TensorKind::Intervals, INTERVAL_BYTES as u64 * u64::from(sampler.interval_count)),
-    ];
-    let format = manifest.number_format;
-    let time_rows = manifest.layers.get(TIME_LAYER).map_or(0, |shape| shape.rows_filled());
-    let time_table = 2 * u64::from(manifest.time_table_frames) * time_rows as u64;
-    let layers = manifest.layers.iter().enumerate();
-    tables
-        .into_iter()
-        .chain(layers.flat_map(move |(index, shape)| layer_plan(index, shape, format)))
-        .chain([(TensorKind::TimeTable, time_table)])
+    (0..TABLES + 4 * manifest.layers.len() + 1).map(|index| tensor_at(manifest, index))
 }
 
-fn layer_plan(index: usize, shape: &LayerShape, format: NumberFormat) -> [(TensorKind, u64); 4] {
-    let rows = shape.rows_filled() as u64;
-    let with_bias = u64::from(index != TIME_LAYER);
-    let with_scales = u64::from(format != NumberFormat::F16);
-    [
-        (TensorKind::Weights(index), rows / 4 * shape.block_bytes() as u64),
-        (TensorKind::GroupScales(index), rows / 4 * shape.block_scale_bytes() as u64),
-        (TensorKind::Bias(index), with_bias * 4 * rows),
-        (TensorKind::Scales(index), with_scales * 4 * rows),
-    ]
+fn tensor_at(manifest: &Manifest<'_>, index: usize) -> (TensorKind, u64) {
+    let sampler = &manifest.sampler;
+    let code_count = u64::from(manifest.sequence_code_count);
+    let component_numbers = u64::from(sampler.component_count) * code_count;
+    let is_mixture = sampler.kind == SamplerKind::DiagonalMixture;
+    match index {
+        0 => (TensorKind::Frequencies, 4 * u64::from(manifest.frequency_count)),
+        1 => (
+            TensorKind::ActionCodes,
+            2 * u64::from(manifest.action_count) * u64::from(manifest.action_code_count),
+        ),
+        2 => (TensorKind::Components, component_numbers),
+        3 => (TensorKind::ComponentSteps, 4 * code_count),
+        4 => (TensorKind::Deviations, if is_mixture { component_numbers } else { 0 }),
+        5 => (TensorKind::DeviationSteps, 4 * code_count),
+        6 => (TensorKind::Members, MEMBER_BYTES as u64 * u64::from(sampler.member_count)),
+        7 => (TensorKind::Intervals, INTERVAL_BYTES as u64 * u64::from(sampler.interval_count)),
+        _ => layer_tensor_at(manifest, index - TABLES),
+    }
+}
+
+fn layer_tensor_at(manifest: &Manifest<'_>, place: usize) -> (TensorKind, u64) {
+    let index = place / 4;
+    let Some(shape) = manifest.layers.get(index) else {
+        let rows = manifest.layers.get(TIME_LAYER).map_or(0, LayerShape::rows_filled);
+        return (TensorKind::TimeTable, 2 * u64::from(manifest.time_table_frames) * rows as u64);
+    };
+    let [weights, group_scales, bias, scales] =
+        shape.tensor_bytes(index, manifest.number_format).map(|bytes| bytes as u64);
+    match place % 4 {
+        0 => (TensorKind::Weights(index), weights),
+        1 => (TensorKind::GroupScales(index), group_scales),
+        2 => (TensorKind::Bias(index), bias),
+        _ => (TensorKind::Scales(index), scales),
+    }
 }

@@ -52,8 +52,8 @@ fn check_limits(manifest: &Manifest<'_>) -> Result<(), BlobError> {
         ("step towards a neighbour", manifest.sampler.step_max_q16, 1 << 16),
         ("time table shift", u32::from(manifest.time_table_shift), 15),
     ];
-    match limited.into_iter().find(|&(_, value, max)| value as usize > max) {
-        Some((field, value, max)) => Err(BlobError::OverLimit { field, value, max: max as u32 }),
+    match limited.iter().find(|&&(_, value, max)| value as usize > max) {
+        Some(&(field, value, max)) => Err(BlobError::OverLimit { field, value, max: max as u32 }),
         None => Ok(()),
     }
 }

@@ -7,8 +7,9 @@
 
 use crate::blob::{Envelope, aligned};
 use crate::code::Code;
+use crate::descriptions::Reader;
 use crate::error::{BlobError, SampleError};
-use crate::layer::{Layer, Order};
+use crate::layer::{Inputs, Layer, Order};
 use crate::limits::LAYERS_MAX;
 use crate::little_endian::i16s;
 use crate::manifest::{
@@ -33,11 +34,27 @@ pub struct Model<'a> {
     /// i16. // (frame, out)
     time_table: &'a [u8],
     pub(crate) sampler: Sampler<'a>,
-    /// Code half of layer 1, time half of layer 1, then the others.
-    pub(crate) layers: heapless::Vec<Layer<'a>, LAYERS_MAX>,
+    /// Code half of layer 1, time half of layer 1, then the others: what begins with the layer's weights.
+    layers: heapless::Vec<&'a [u8], LAYERS_MAX>,
+    /// Largest magnitude that the products of a row of the time half can reach together.
+    time_products_max: i32,
 }
 
 impl<'a> Model<'a> {
+    /// A model of nothing, to be filled by [`load`](Self::load): it has no actions and no channels.
+    // Not `const`: a constant would lie in flash, to be copied from there.
+    pub fn empty() -> Self {
+        Self {
+            manifest: Manifest::empty(),
+            names: &[],
+            frequencies: &[],
+            time_table: &[],
+            sampler: Sampler::empty(),
+            layers: heapless::Vec::new(),
+            time_products_max: 0,
+        }
+    }
+
     /// Checks a blob completely.
     ///
     /// # Errors
@@ -46,34 +63,60 @@ impl<'a> Model<'a> {
     /// # Cost
     /// Reads every byte about twice: CRC-32, then the accumulator certificate of each row.
     pub fn from_bytes(bytes: &'a [u8]) -> Result<Self, BlobError> {
+        let mut model = Self::empty();
+        model.load(bytes)?;
+        Ok(model)
+    }
+
+    /// [`from_bytes`](Self::from_bytes) into a model that lies where it is needed, [`empty`](Self::empty) before: half
+    /// of the stack, because nothing has to be moved. After an error the model is empty.
+    ///
+    /// # Errors
+    /// As [`from_bytes`](Self::from_bytes).
+    pub fn load(&mut self, bytes: &'a [u8]) -> Result<(), BlobError> {
+        self.layers.clear();
+        self.manifest.layers.clear();
+        let result = self.fill(bytes);
+        if result.is_err() {
+            self.layers.clear();
+            self.sampler.action_count = 0;
+        }
+        result
+    }
+
+    #[inline(never)]
+    fn fill(&mut self, bytes: &'a [u8]) -> Result<(), BlobError> {
         let envelope = Envelope::parse(bytes)?;
-        let (manifest, names) = postcard::take_from_bytes::<Manifest<'a>>(envelope.descriptions)
-            .map_err(|_| BlobError::BadField { field: "manifest", value: 0 })?;
-        manifest_check::check(&manifest, bytes)?;
-        let mut model = Self::slice_tensors(&envelope, manifest, names)?;
-        model.check_names()?;
-        model.sampler.check()?;
-        let format = model.manifest.number_format;
-        let hidden = TIME_LAYER..model.layers.len().saturating_sub(1);
-        for (index, layer) in model.layers.iter_mut().enumerate() {
-            layer.check(index, format)?;
-            if format != NumberFormat::F16 && hidden.contains(&index) && !layer.is_narrow() {
-                return Err(BlobError::BadField {
-                    field: "row scale of layer",
-                    value: index as u32,
-                });
+        self.read_manifest(envelope.descriptions)?;
+        manifest_check::check(&self.manifest, bytes)?;
+        self.slice_tensors(&envelope)?;
+        self.check_names()?;
+        self.sampler.check()?;
+        for index in 0..self.manifest.layers.len() {
+            let Some(layer) = self.layer(index) else { continue };
+            let products_max = layer.check(&self.manifest, index)?;
+            if index == TIME_LAYER {
+                self.time_products_max = products_max;
             }
         }
-        model.check_time_table()?;
-        Ok(model)
+        self.check_time_table()
+    }
+
+    fn read_manifest(&mut self, descriptions: &'a [u8]) -> Result<(), BlobError> {
+        let mut reader = Reader::new(descriptions);
+        reader.manifest(&mut self.manifest);
+        self.names = reader.rest();
+        if reader.is_broken() {
+            return Err(BlobError::BadField { field: "manifest", value: 0 });
+        }
+        Ok(())
     }
 
     /// Stored products must not reach beyond what the time half's own could: its room was measured by those.
     fn check_time_table(&self) -> Result<(), BlobError> {
-        let room = self.layers.get(TIME_LAYER).map_or(0, Layer::room);
-        let products_max = i64::from(i32::MAX - room);
         let shift = self.manifest.time_table_shift & 15;
-        let too_large = |entry: i16| i64::from(entry).abs() << shift > products_max;
+        let products_max = self.time_products_max >> shift;
+        let too_large = |entry: i16| i32::from(entry).abs() > products_max;
         match i16s(self.time_table).position(too_large) {
             Some(index) => Err(BlobError::BadField { field: "time table", value: index as u32 }),
             None => Ok(()),
@@ -81,102 +124,106 @@ impl<'a> Model<'a> {
     }
 
     /// Cuts the blob into tensors by the manifest's plan; the plan must end exactly where the blob ends.
-    fn slice_tensors(
-        envelope: &Envelope<'a>,
-        manifest: Manifest<'a>,
-        names: &'a [u8],
-    ) -> Result<Self, BlobError> {
+    fn slice_tensors(&mut self, envelope: &Envelope<'a>) -> Result<(), BlobError> {
         let found = envelope.bytes.len();
-        let (mut frequencies, mut time_table) = (&[][..], &[][..]);
-        let mut sampler = Sampler::new(&manifest);
-        let (packing, format) = (manifest.packing, manifest.number_format);
-        let mut layers = heapless::Vec::<Layer<'a>, LAYERS_MAX>::new();
-        for (index, &shape) in manifest.layers.iter().enumerate() {
-            // As many fit as the manifest can name; `collect` would panic beyond.
-            let _ = layers.push(Layer::new(shape, packing, format, index));
-        }
+        let wrong_length = |end: u64| {
+            let expected = usize::try_from(end).unwrap_or(usize::MAX);
+            Err(BlobError::WrongLength { found, expected })
+        };
+        self.sampler = Sampler::new(&self.manifest);
         let mut end = envelope.tensors_start();
-        for (kind, length) in tensor_plan(&manifest) {
+        for (kind, length) in tensor_plan(&self.manifest) {
             let start = aligned(end);
             end = start + length;
-            let expected = usize::try_from(end).unwrap_or(usize::MAX);
-            let tensor = usize::try_from(start)
-                .ok()
-                .and_then(|start| envelope.bytes.get(start..expected))
-                .ok_or(BlobError::WrongLength { found, expected })?;
+            if end > found as u64 {
+                return wrong_length(end);
+            }
+            let tensor = envelope.bytes.get(start as usize..end as usize).unwrap_or_default();
             match kind {
-                TensorKind::Frequencies => frequencies = tensor,
-                TensorKind::TimeTable => time_table = tensor,
-                TensorKind::Weights(index)
-                | TensorKind::GroupScales(index)
-                | TensorKind::Bias(index)
-                | TensorKind::Scales(index) => {
-                    if let Some(layer) = layers.get_mut(index) {
-                        layer.set_tensor(kind, tensor);
-                    }
+                TensorKind::Frequencies => self.frequencies = tensor,
+                TensorKind::TimeTable => self.time_table = tensor,
+                TensorKind::Weights(_) => {
+                    // As many fit as the manifest can name.
+                    let _ =
+                        self.layers.push(envelope.bytes.get(start as usize..).unwrap_or_default());
                 }
-                _ => sampler.set_tensor(kind, tensor),
+                TensorKind::GroupScales(_) | TensorKind::Bias(_) | TensorKind::Scales(_) => {}
+                _ => self.sampler.set_tensor(kind, tensor),
             }
         }
-        if end != found as u64 {
-            let expected = usize::try_from(end).unwrap_or(usize::MAX);
-            return Err(BlobError::WrongLength { found, expected });
-        }
-        Ok(Self { manifest, names, frequencies, time_table, sampler, layers })
+        if end == found as u64 { Ok(()) } else { wrong_length(end) }
     }
 
     /// Walks all names once, so that the iterators below cannot meet a broken one later.
     fn check_names(&self) -> Result<(), BlobError> {
-        let bad = |field, value: usize| BlobError::BadField { field, value: value as u32 };
-        let channels: usize = self.groups().map(|group| group.kind.channel_count()).sum();
-        if self.groups().count() != usize::from(self.manifest.group_count) {
-            return Err(bad("groups", self.groups().count()));
+        let bad = |field, value: usize| Err(BlobError::BadField { field, value: value as u32 });
+        let mut names = Reader::new(self.names);
+        let mut channels = 0;
+        for index in 0..self.manifest.group_count {
+            channels += names.group().kind.channel_count();
+            if names.is_broken() {
+                return bad("groups", index.into());
+            }
         }
         if channels != self.channel_count() {
-            return Err(bad("channels of the layout", channels));
+            return bad("channels of the layout", channels);
         }
-        if self.actions().count() != usize::from(self.manifest.action_count) {
-            return Err(bad("actions", self.actions().count()));
+        for index in 0..self.manifest.action_count {
+            names.text();
+            if names.is_broken() {
+                return bad("actions", index.into());
+            }
         }
-        if self.joints().count() != usize::from(self.manifest.joint_count) {
-            return Err(bad("joints", self.joints().count()));
+        self.check_joints(&mut names)?;
+        if names.rest().is_empty() {
+            return Ok(());
         }
-        let parent_follows = |(index, joint): (usize, Joint<'_>)| match joint.parent {
-            Some(parent) => usize::from(parent) >= index,
-            None => index != 0,
-        };
-        match self.joints().enumerate().position(parent_follows) {
-            Some(index) => Err(bad("joint parent", index)),
-            None if self.joint_stream().trailing().is_empty() => Ok(()),
-            None => Err(bad("bytes after the names", self.joint_stream().trailing().len())),
+        bad("bytes after the names", names.rest().len())
+    }
+
+    /// Parents must precede their children; only the first joint has none.
+    fn check_joints(&self, names: &mut Reader<'a>) -> Result<(), BlobError> {
+        let bad = |field, value| Err(BlobError::BadField { field, value });
+        let mut misplaced = None;
+        for index in 0..self.manifest.joint_count {
+            let joint = names.joint();
+            if names.is_broken() {
+                return bad("joints", index.into());
+            }
+            let is_misplaced = joint.parent.map_or(index != 0, |parent| parent >= index);
+            if is_misplaced && misplaced.is_none() {
+                misplaced = Some(index);
+            }
+        }
+        match misplaced {
+            Some(index) => bad("joint parent", index.into()),
+            None => Ok(()),
         }
     }
 
     /// Groups of the layout, in channel order.
     pub fn groups(&self) -> impl Iterator<Item = Group<'a>> + use<'a> {
-        self.group_stream()
+        let mut names = Reader::new(self.names);
+        (0..self.manifest.group_count).map(move |_| names.group())
     }
 
     /// Names of the actions, in the order of [`ActionId`].
     pub fn actions(&self) -> impl Iterator<Item = &'a str> + use<'a> {
-        self.action_stream()
+        let mut names = self.names_after_groups();
+        (0..self.manifest.action_count).map(move |_| names.text())
     }
 
     /// Joints of the skeleton; none when the model has no skeleton.
     pub fn joints(&self) -> impl Iterator<Item = Joint<'a>> + use<'a> {
-        self.joint_stream()
+        let mut names = self.names_after_groups();
+        (0..self.manifest.action_count).for_each(|_| _ = names.text());
+        (0..self.manifest.joint_count).map(move |_| names.joint())
     }
 
-    fn group_stream(&self) -> Names<'a, Group<'a>> {
-        Names::new(self.names, self.manifest.group_count)
-    }
-
-    fn action_stream(&self) -> Names<'a, &'a str> {
-        Names::new(self.group_stream().trailing(), self.manifest.action_count)
-    }
-
-    fn joint_stream(&self) -> Names<'a, Joint<'a>> {
-        Names::new(self.action_stream().trailing(), self.manifest.joint_count)
+    fn names_after_groups(&self) -> Reader<'a> {
+        let mut names = Reader::new(self.names);
+        (0..self.manifest.group_count).for_each(|_| _ = names.group());
+        names
     }
 
     /// The action with this name.
@@ -200,7 +247,24 @@ impl<'a> Model<'a> {
         frames: u32,
         random: &mut impl FnMut() -> u32,
     ) -> Result<Code, SampleError> {
-        self.sampler.sample(action, frames, random)
+        let mut code = Code::new();
+        self.sample_into(action, frames, random, &mut code)?;
+        Ok(code)
+    }
+
+    /// [`sample`](Self::sample) without a second kilobyte of stack: into a code that lies where it is needed. After an
+    /// error the code is as it was.
+    ///
+    /// # Errors
+    /// As [`sample`](Self::sample).
+    pub fn sample_into(
+        &self,
+        action: ActionId,
+        frames: u32,
+        random: &mut impl FnMut() -> u32,
+        code: &mut Code,
+    ) -> Result<(), SampleError> {
+        self.sampler.sample(action, frames, random, code)
     }
 
     /// A code from floats (β then α), rounded to nearest, saturated; numbers beyond the model's are dropped, missing
@@ -212,7 +276,9 @@ impl<'a> Model<'a> {
             let scaled = value * one;
             (if scaled < 0.0 { scaled - 0.5 } else { scaled + 0.5 }) as i16
         };
-        Code::default().append(given.take(self.code_count()).map(round))
+        let mut code = Code::new();
+        code.append(given.take(self.code_count()).map(round));
+        code
     }
 
     /// The numbers of a code (β then α) as floats, exact.
@@ -283,7 +349,27 @@ impl<'a> Model<'a> {
 
     /// What the integer kernels need for two frames in one pass: tiles of 8-bit weights in every layer.
     pub(crate) fn has_pair_kernels(&self) -> bool {
-        self.layers.iter().all(|layer| matches!(layer.order, Order::Bytes | Order::Halfwords))
+        let order_suits = |index| {
+            matches!(Order::of(&self.manifest, index), Some(Order::Bytes | Order::Halfwords))
+        };
+        (0..self.layers.len()).all(order_suits)
+    }
+
+    /// A layer, counted as in [`Manifest::layers`].
+    #[inline(never)]
+    pub(crate) fn layer(&self, index: usize) -> Option<Layer<'_>> {
+        Layer::new(&self.manifest, index, self.layers.get(index)?)
+    }
+
+    /// How the activations that a layer reads are stored.
+    pub(crate) fn inputs(&self, index: usize) -> Option<Inputs> {
+        let quads = self.manifest.layers.get(index)?.columns_filled() / 4;
+        Some(Inputs { order: Order::of(&self.manifest, index)?, quads })
+    }
+
+    /// Largest magnitude at which a sum of the time half can start without ever overflowing.
+    pub(crate) fn time_room(&self) -> i32 {
+        i32::MAX - self.time_products_max
     }
 
     /// Multiply-accumulates to begin a motion (the code half of layer 1).
@@ -299,36 +385,6 @@ impl<'a> Model<'a> {
 
 fn multiply_accumulates(shape: &LayerShape) -> u64 {
     u64::from(shape.input_count) * u64::from(shape.output_count)
-}
-
-/// Postcard values that lie one after another; ends early at a broken one.
-struct Names<'a, Item> {
-    bytes: &'a [u8],
-    remaining: u16,
-    item: core::marker::PhantomData<Item>,
-}
-
-impl<'a, Item: serde::Deserialize<'a>> Names<'a, Item> {
-    fn new(bytes: &'a [u8], count: u16) -> Self {
-        Self { bytes, remaining: count, item: core::marker::PhantomData }
-    }
-
-    /// The bytes after the last item.
-    fn trailing(mut self) -> &'a [u8] {
-        while self.next().is_some() {}
-        self.bytes
-    }
-}
-
-impl<'a, Item: serde::Deserialize<'a>> Iterator for Names<'a, Item> {
-    type Item = Item;
-
-    fn next(&mut self) -> Option<Item> {
-        self.remaining = self.remaining.checked_sub(1)?;
-        let (item, rest) = postcard::take_from_bytes(self.bytes).ok()?;
-        self.bytes = rest;
-        Some(item)
-    }
 }
 
 #[cfg(test)]
@@ -369,6 +425,29 @@ mod tests {
                     blob[index] ^= flip;
                 }
             }
+        }
+    }
+
+    #[test]
+    fn model_is_empty_after_a_blob_that_was_rejected() {
+        let good = w8a16();
+        let mut bad = good.clone();
+        *bad.last_mut().unwrap() ^= 1;
+        let mut unchecked = good.clone();
+        unchecked[HEADER_BYTES + 9] ^= 0xFF;
+        crate::blob::seal_again(&mut unchecked);
+        let mut model = Model::empty();
+        for blob in [&bad, &unchecked] {
+            assert!(model.load(&good).is_ok());
+            assert!(model.load(blob).is_err());
+            assert!(model.sample(ActionId(0), 20, &mut || 0).is_err());
+            let mut workspace = crate::Workspace::<16>::new();
+            let mut pose = crate::Pose::new();
+            if let Ok(mut decoder) = crate::Decoder::new(&model, &mut workspace) {
+                decoder.start(&Code::new());
+                decoder.decode(crate::FramePosition::from_bits(0), &mut pose);
+            }
+            assert!(pose.channels().is_empty());
         }
     }
 

@@ -15,7 +15,7 @@
 //! Why here: the kernels read a layer with one pointer and never rearrange it; see `kernel.rs`.
 
 use crate::kernel::{GROUP_SCALE_BYTES, GROUP_TILES, TILE_BYTES};
-use crate::manifest::{LayerShape, Packing, WeightFormat};
+use crate::manifest::{LayerShape, NumberFormat, Packing, TIME_LAYER, WeightFormat};
 
 /// Rows of a block.
 pub const BLOCK_ROWS: usize = 4;
@@ -39,6 +39,15 @@ impl LayerShape {
             WeightFormat::I4 => 2 * self.columns_filled(),
             WeightFormat::Half => 8 * usize::from(self.input_count.max(1)),
         }
+    }
+
+    /// Bytes of the tensors of a layer in file order: weights, group scales, biases, scales.
+    pub(crate) fn tensor_bytes(&self, index: usize, format: NumberFormat) -> [usize; 4] {
+        let rows = self.rows_filled();
+        let blocks = rows / BLOCK_ROWS;
+        let bias = if index == TIME_LAYER { 0 } else { 4 * rows };
+        let scales = if format == NumberFormat::F16 { 0 } else { 4 * rows };
+        [blocks * self.block_bytes(), blocks * self.block_scale_bytes(), bias, scales]
     }
 
     /// Bytes of the group scales of four rows.

@@ -69,7 +69,7 @@ impl Requantizer {
 
     /// The same as [`apply`](Self::apply) for a shift of at least [`NARROW_RIGHT_MIN`](Self::NARROW_RIGHT_MIN), in a
     /// third of its instructions: the lower half of the product cannot change the result, and none can overflow.
-    #[inline]
+    #[inline(always)]
     pub const fn apply_narrow(self, accumulator: i32) -> i32 {
         // A signed 32-bit product's upper half is one instruction where there is DSP.
         let product = (accumulator as i64).wrapping_mul(self.0.cast_signed() as i64);

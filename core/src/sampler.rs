@@ -22,7 +22,8 @@ pub(crate) struct Sampler<'a> {
     kind: SamplerKind,
     sequence_code_count: usize,
     action_code_count: usize,
-    action_count: u16,
+    /// No action beyond it is ever sampled; 0 in an empty model.
+    pub action_count: u16,
     component_count: u32,
     member_count: u32,
     step_max_q16: u32,
@@ -66,6 +67,26 @@ impl Interval {
 }
 
 impl<'a> Sampler<'a> {
+    /// Without any table.
+    pub fn empty() -> Self {
+        Self {
+            kind: SamplerKind::ClipCodes,
+            sequence_code_count: 0,
+            action_code_count: 0,
+            action_count: 0,
+            component_count: 0,
+            member_count: 0,
+            step_max_q16: 0,
+            action_codes: &[],
+            components: &[],
+            component_steps: &[],
+            deviations: &[],
+            deviation_steps: &[],
+            members: &[],
+            intervals: &[],
+        }
+    }
+
     pub fn new(manifest: &Manifest<'_>) -> Self {
         Self {
             kind: manifest.sampler.kind,
@@ -75,13 +96,7 @@ impl<'a> Sampler<'a> {
             component_count: manifest.sampler.component_count,
             member_count: manifest.sampler.member_count,
             step_max_q16: manifest.sampler.step_max_q16,
-            action_codes: &[],
-            components: &[],
-            component_steps: &[],
-            deviations: &[],
-            deviation_steps: &[],
-            members: &[],
-            intervals: &[],
+            ..Self::empty()
         }
     }
 
@@ -144,7 +159,8 @@ impl<'a> Sampler<'a> {
         action: ActionId,
         frames: u32,
         random: &mut impl FnMut() -> u32,
-    ) -> Result<Code, SampleError> {
+        code: &mut Code,
+    ) -> Result<(), SampleError> {
         if action.0 >= self.action_count {
             return Err(SampleError::UnknownAction { action: action.0, count: self.action_count });
         }
@@ -154,14 +170,16 @@ impl<'a> Sampler<'a> {
             .intervals()
             .find(|interval| interval.action == action.0 && interval.contains(frames))
             .ok_or(SampleError::OutsideTraining { frames, frames_min, frames_max })?;
-        let code = match self.kind {
-            SamplerKind::ClipCodes => self.sample_clip(&interval, random),
-            SamplerKind::DiagonalMixture => self.sample_gaussian(&interval, random),
-        };
-        Ok(code.append(self.action_code(action)))
+        code.values.clear();
+        match self.kind {
+            SamplerKind::ClipCodes => self.sample_clip(&interval, random, code),
+            SamplerKind::DiagonalMixture => self.sample_gaussian(&interval, random, code),
+        }
+        code.append(self.action_code(action));
+        Ok(())
     }
 
-    fn sample_clip(&self, interval: &Interval, random: &mut impl FnMut() -> u32) -> Code {
+    fn sample_clip(&self, interval: &Interval, random: &mut impl FnMut() -> u32, code: &mut Code) {
         let chosen = below(interval.member_count, random);
         // Any of the others with equal chance; the clip itself when it is alone.
         let skip = 1 + below(interval.member_count.saturating_sub(1), random);
@@ -174,10 +192,15 @@ impl<'a> Sampler<'a> {
             i32s(self.deviation_steps).map(|step| ((i64::from(step) * spread) >> 12) as i32);
         let means = from.zip(to).map(|(from, to)| interpolate(from, to, fraction));
         let values = means.zip(sigmas);
-        Code::default().append(values.map(|(mean, sigma)| add_noise(mean, sigma, random)))
+        code.append(values.map(|(mean, sigma)| add_noise(mean, sigma, random)));
     }
 
-    fn sample_gaussian(&self, interval: &Interval, random: &mut impl FnMut() -> u32) -> Code {
+    fn sample_gaussian(
+        &self,
+        interval: &Interval,
+        random: &mut impl FnMut() -> u32,
+        code: &mut Code,
+    ) {
         let threshold = random() >> 16;
         let last = interval.member_count.saturating_sub(1);
         let heavy = |&member: &u32| {
@@ -189,7 +212,7 @@ impl<'a> Sampler<'a> {
             self.row(self.deviations, component).iter().zip(i32s(self.deviation_steps));
         let sigmas = deviations.map(|(&deviation, step)| i32::from(deviation).saturating_mul(step));
         let values = self.mean(component).zip(sigmas);
-        Code::default().append(values.map(|(mean, sigma)| add_noise(mean, sigma, random)))
+        code.append(values.map(|(mean, sigma)| add_noise(mean, sigma, random)));
     }
 
     /// A component's mean in code units.

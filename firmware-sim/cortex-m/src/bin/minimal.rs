@@ -13,7 +13,7 @@ use core::panic::PanicInfo;
 use core::ptr;
 
 use cortex_m_rt::entry;
-use karakuri::{ActionId, Decoder, FramePosition, Model, Pcg32, Pose, Workspace};
+use karakuri::{ActionId, Code, Decoder, FramePosition, Model, Pcg32, Pose, Workspace};
 
 #[path = "../blob_partition.rs"]
 mod blob_partition;
@@ -23,20 +23,29 @@ include!(concat!(env!("OUT_DIR"), "/width.rs"));
 /// Stands for the register of a servo.
 static mut SERVO: i32 = 0;
 
+/// What moves.
+struct Motion<'m> {
+    random: Pcg32,
+    code: &'m mut Code,
+    pose: &'m mut Pose,
+}
+
 #[entry]
 fn main() -> ! {
-    let mut random = Pcg32::new(1);
-    let mut workspace = Workspace::<WORKSPACE_WIDTH>::new();
-    let mut pose = Pose::new();
+    // `entry` hands these out as exclusive references: what is large lies in statics, not on the stack.
+    static mut WORKSPACE: Workspace<WORKSPACE_WIDTH> = Workspace::new();
+    static mut CODE: Code = Code::new();
+    static mut POSE: Pose = Pose::new();
+    let mut motion = Motion { random: Pcg32::new(1), code: CODE, pose: POSE };
     let blob = blob_partition::blob();
     #[cfg(feature = "forbidden")]
     core::hint::black_box(forbidden(blob));
-    let model = Model::from_bytes(blob);
-    if let Ok(model) = &model
-        && let Ok(mut decoder) = Decoder::new(model, &mut workspace)
+    let mut model = Model::empty();
+    if model.load(blob).is_ok()
+        && let Ok(mut decoder) = Decoder::new(&model, WORKSPACE)
     {
         for action in (0..model.manifest().action_count).cycle() {
-            move_once(model, ActionId(action), &mut decoder, &mut random, &mut pose);
+            move_once(&model, ActionId(action), &mut decoder, &mut motion);
         }
     }
     stop()
@@ -47,12 +56,13 @@ fn move_once(
     model: &Model<'_>,
     action: ActionId,
     decoder: &mut Decoder<'_, '_>,
-    random: &mut Pcg32,
-    pose: &mut Pose,
+    Motion { random, code, pose }: &mut Motion<'_>,
 ) {
     let frames = *model.trained_frames(action).start();
-    let Ok(code) = model.sample(action, frames, &mut || random.next_u32()) else { return };
-    decoder.start(&code);
+    if model.sample_into(action, frames, &mut || random.next_u32(), code).is_err() {
+        return;
+    }
+    decoder.start(code);
     for frame in 0..frames {
         decoder.decode(FramePosition::from_frames(frame), pose);
         for &channel in pose.channels() {
