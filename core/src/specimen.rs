@@ -179,7 +179,8 @@ fn interval(
     [halves, [first, count].map(u32::to_le_bytes).concat()].concat()
 }
 
-#[cfg(test)]
+// Miri is shut off from files.
+#[cfg(all(test, not(miri)))]
 mod tests {
     use std::path::Path;
     use std::string::String;
@@ -207,7 +208,6 @@ mod tests {
     /// Fuzzing starts from specimens; after a change of the format, `UPDATE_GOLDEN=1 cargo test -p karakuri` writes
     /// them anew.
     #[test]
-    #[cfg(not(miri))] // Miri is shut off from files.
     fn seeds_of_the_fuzzers_are_the_specimens() {
         for (name, blob) in seeds() {
             let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/seeds");
