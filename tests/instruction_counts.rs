@@ -2,8 +2,8 @@
 //!
 //! Why here: instruction counts are the same in every run on every machine, so any change is a change of the code. A
 //! regression fails, and an improvement fails until somebody accepts it, lest it be lost again unnoticed. Another
-//! version of the compiler makes another program: then numbers may only stay below the golden's by a margin, and the test says
-//! loudly that it compared no more than that.
+//! version of the compiler makes another program: then numbers may only stay below the golden's by a margin, and the
+//! test says loudly that it compared no more than that.
 
 use std::collections::BTreeMap;
 use std::env;

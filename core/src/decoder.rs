@@ -84,7 +84,8 @@ impl<'m, 'w> Decoder<'m, 'w> {
     /// `position`: frames, Q16.16 · `pose`: channel units, Q15.16
     ///
     /// # Cost
-    /// `Model::multiply_accumulates_per_pose`; at a whole frame of the blob's time table without those of the time half.
+    /// `Model::multiply_accumulates_per_pose`; at a whole frame of the blob's time table without those of the time
+    /// half.
     pub fn decode(&mut self, position: FramePosition, pose: &mut Pose) {
         self.decode_observed(position, pose, &mut |_| ());
     }

@@ -2,8 +2,8 @@
 //!
 //! ELU(x) = x for x ≥ 0, e^x − 1 otherwise; e^x = 2^−k · 2^−f, a shift and a table over f.
 //!
-//! Why here: pre-activations come in units of the stored activation (or 1/256 of them), so that a positive one, which is
-//! every second, is done after one shift. Only 32-bit products, because a Cortex-M0+ has no others.
+//! Why here: pre-activations come in units of the stored activation (or 1/256 of them), so that a positive one, which
+//! is every second, is done after one shift. Only 32-bit products, because a Cortex-M0+ has no others.
 //!
 //! Source: Clevert et al., ICLR 2016; MotionINR's decoder uses it after every hidden layer.
 

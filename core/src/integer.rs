@@ -1,8 +1,8 @@
 //! The integer formats: packed weights, i32 accumulators, nothing but integers.
 //!
-//! Why here: the same bits on every machine follow from integer arithmetic with stated roundings. Sums may wrap on their
-//! way, because the loader has proved for every row that none has wrapped at its end. `FRAMES` is 1, or 2 where a pass
-//! over the weights serves two frames.
+//! Why here: the same bits on every machine follow from integer arithmetic with stated roundings. Sums may wrap on
+//! their way, because the loader has proved for every row that none has wrapped at its end. `FRAMES` is 1, or 2 where
+//! a pass over the weights serves two frames.
 
 use crate::code::Code;
 use crate::decoder::Stage;

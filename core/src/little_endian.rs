@@ -1,7 +1,8 @@
 //! Numbers read in place from flash, at any alignment of the blob.
 //!
 //! Why here: a slice from `include_bytes!` may start anywhere; LDM and LDRD fault on odd addresses, byte reads do not.
-//! `as_chunks` and not `chunks_exact`: the latter keeps its size in a variable and may divide by it, with a panic for 0.
+//! `as_chunks` and not `chunks_exact`: the latter keeps its size in a variable and may divide by it, with a panic for
+//! 0.
 
 /// The `i16`s of a tensor.
 pub(crate) fn i16s(bytes: &[u8]) -> impl ExactSizeIterator<Item = i16> + '_ {

@@ -91,8 +91,8 @@ impl ServoStage {
     /// `pulse_error_over_the_whole_range`): to nearest 2^-8 µs, then to nearest µs, ties up. An
     /// angle of a rotation adds its own error: at 10 µs per degree 0.65 µs in all, 0.3 µs RMS
     /// (asserted by `pulse_error_of_three_servos_of_a_rotation`). Over any number of ticks a pulse travels at most
-    /// its speed limit, plus 1 µs for the rounding of both ends. A tick moves in steps of 2^-8 µs: at 4 µs/s it must last
-    /// a millisecond, at 600 µs/s 7 µs, or nothing moves.
+    /// its speed limit, plus 1 µs for the rounding of both ends. A tick moves in steps of 2^-8 µs: at 4 µs/s it must
+    /// last a millisecond, at 600 µs/s 7 µs, or nothing moves.
     pub fn command(&mut self, pose: &Pose, elapsed_us: u32) -> &ServoCommand {
         let (mut range_limited, mut speed_limited) = (0, 0);
         let last = self.pulses_q8.iter_mut().zip(self.command.pulses_us.iter_mut());

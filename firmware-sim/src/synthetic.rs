@@ -4,8 +4,8 @@
 //! Out: bytes of a blob.
 //!
 //! Why here: counts depend on shapes, formats and, a little, on the signs of pre-activations. Weights are drawn with
-//! the spread that keeps activations in a trained network's range; see `layer.rs`. Only sums, products and square roots, so
-//! the same bytes come out on every machine.
+//! the spread that keeps activations in a trained network's range; see `layer.rs`. Only sums, products and square
+//! roots, so the same bytes come out on every machine.
 
 use karakuri::blob::BlobParts;
 use karakuri::manifest::{

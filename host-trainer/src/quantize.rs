@@ -180,9 +180,9 @@ fn store_layers(
 
 /// Weights of each layer, unless they are asked for: 4 bits only where that saves flash.
 ///
-/// A layer of less than 1/32 of all weights keeps 8 bits in `w4a8`: together these are 2 % of a model, and the last layer,
-/// whose errors are those of the pose, is among them. At 4 bits it alone made half of the square error of preset
-/// `small` on Chako and Reachy.
+/// A layer of less than 1/32 of all weights keeps 8 bits in `w4a8`: together these are 2 % of a model, and the last
+/// layer, whose errors are those of the pose, is among them. At 4 bits it alone made half of the square error of
+/// preset `small` on Chako and Reachy.
 pub fn default_weights(format: NumberFormat, layers: &[DenseLayer]) -> Vec<WeightFormat> {
     let all: usize = layers.iter().map(|layer| layer.weights.len()).sum();
     let of_layer = |layer: &DenseLayer| match format {
