@@ -147,3 +147,36 @@ fn every_count_is_the_goldens() {
         listed(&found)
     );
 }
+
+/// What the decoder promises at the paper's size: row, field, largest number.
+const PROMISES: [(&str, &str, f64); 19] = [
+    ("cortex-m4,w8a16,paper", "instructions_per_pose", 1_500_000.0),
+    ("cortex-m7,w8a16,paper", "instructions_per_pose", 1_500_000.0),
+    ("cortex-m33,w8a16,paper", "instructions_per_pose", 1_500_000.0),
+    ("cortex-m4,w8a8,paper", "instructions_per_pose", 1_250_000.0),
+    ("cortex-m7,w8a8,paper", "instructions_per_pose", 1_250_000.0),
+    ("cortex-m33,w8a8,paper", "instructions_per_pose", 1_250_000.0),
+    ("cortex-m4,w8a8,paper", "pair_instructions_per_pose", 1_000_000.0),
+    ("cortex-m4,w8a16,paper", "time_table_instructions_per_pose", 1_200_000.0),
+    ("cortex-m4,w4a8,paper", "instructions_per_pose", 1_350_000.0),
+    ("cortex-m4,f16,paper", "instructions_per_pose", 3_200_000.0),
+    ("cortex-m0plus,w8a8,paper", "instructions_per_pose", 4_900_000.0),
+    ("cortex-m55,w8a8,paper", "instructions_per_pose", 350_000.0),
+    ("cortex-m4,w8a8,paper", "workspace_bytes", 10_240.0),
+    ("cortex-m4,w4a8,paper", "workspace_bytes", 10_240.0),
+    ("cortex-m4,w8a8,paper", "pose_stack_bytes", 1024.0),
+    ("cortex-m4,w8a8,paper", "fold_stack_bytes", 1024.0),
+    ("cortex-m4,w8a8,paper", "load_stack_bytes", 1024.0),
+    ("cortex-m0plus,w8a8,paper", "pose_stack_bytes", 1024.0),
+    ("cortex-m0plus,w8a8,paper", "load_stack_bytes", 1024.0),
+];
+
+#[test]
+fn accepted_counts_keep_every_promise() {
+    let (_, golden) = golden();
+    for (row, field, most) in PROMISES {
+        let index = NUMBERS.iter().position(|known| *known == field).expect("a compared field");
+        let number = golden.get(row).and_then(|numbers| numbers[index]);
+        assert!(number.is_some_and(|number| number <= most), "{row} {field}: {number:?} > {most}");
+    }
+}
