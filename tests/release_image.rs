@@ -36,7 +36,7 @@ struct Build {
     code_kib_max: u64,
 }
 
-/// One number format an image, as a product has it; the product's level, and 3 where inlining could bring a panic back.
+/// One number format an image, as a product has it; the smallest, and level 3, where inlining could bring a panic back.
 const INTEGER: [Build; 5] = [
     Build { target: Target::CortexM0Plus, optimisation: "'s'", format: "w8a8", code_kib_max: 18 },
     Build { target: Target::CortexM0Plus, optimisation: "'s'", format: "w4a8", code_kib_max: 20 },
@@ -131,6 +131,10 @@ fn link(mut cargo: Command, build: Build, features: &str, blob: &Path) -> PathBu
     let output = cargo
         .args(["--bin", "minimal", "--no-default-features", "--features", features])
         .args(["--config", &format!("profile.release.opt-level={}", build.optimisation)])
+        .args([
+            "--config",
+            &format!("profile.release.package.karakuri.opt-level={}", build.optimisation),
+        ])
         .arg("--target-dir")
         .arg(&folder)
         .env("KARAKURI_WIDTH", width.to_string())
