@@ -4,7 +4,7 @@
 //! Out: `cfg(karakuri_kernel = "…")`; `cfg(karakuri_rows)` where the family reads row after row; `cfg(karakuri_vfp)`
 //!      where single-precision floats are in hardware.
 //!
-//! A wrong guess costs speed, never correctness: every family computes the same bits.
+//! Every family computes the same bits, so a cautious guess costs speed and nothing else.
 
 use std::env;
 
@@ -19,7 +19,9 @@ fn main() {
     let target = env::var("TARGET").unwrap_or_default();
     let flags = env::var("CARGO_ENCODED_RUSTFLAGS").unwrap_or_default();
     let forced = env::var_os("CARGO_FEATURE_PORTABLE").is_some();
-    let family = if forced { "portable" } else { family(&target, processor(&flags)) };
+    // Flags come separated by 0x1F; `-dsp` takes from a named processor what it would have.
+    let processor = if flags.contains("-dsp") { "" } else { processor(&flags) };
+    let family = if forced { "portable" } else { family(&target, processor) };
     println!("cargo:rustc-cfg=karakuri_kernel=\"{family}\"");
     if matches!(family, "portable" | "vector") {
         println!("cargo:rustc-cfg=karakuri_rows");

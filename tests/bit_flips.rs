@@ -11,12 +11,8 @@
 #[path = "../core/fuzz/src/hostile.rs"]
 mod hostile;
 
-use std::ops::Range;
-
 use karakuri::{BlobError, Model};
-use tests::{FORMATS, contents, golden_blob, repository};
-
-const CHECKSUM_FIELD: Range<usize> = 12..16;
+use tests::{CHECKSUM_FIELD, FORMATS, contents, golden_blob, repository};
 
 fn seeds() -> Vec<Vec<u8>> {
     let seeds: Vec<_> = contents(&repository().join("core/fuzz/seeds")).into_values().collect();

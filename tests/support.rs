@@ -3,7 +3,7 @@
 //! Why here: a test should read as a sentence and a table; how a process is started is written once.
 
 // With paths, because this folder belongs to the tests: a module beside them would look like one.
-#[path = "support/checksum.rs"]
+#[path = "../core/fuzz/src/checksum.rs"]
 mod checksum;
 #[path = "support/golden.rs"]
 mod golden;

@@ -3,7 +3,7 @@
 //! In:  a *block* (the weights of four rows, packed by `packing.rs`) and activations.
 //! Out: four accumulators, updated in place.
 //!
-//! Why here: 95 % of a pose's instructions are spent in these loops. `build.rs` chooses the family from the target;
+//! Why here: nine tenths of a pose's instructions are spent in these loops. `build.rs` chooses the family from the target;
 //! [`portable`] is the definition that the others must equal bit for bit, and runs everywhere.
 //!
 //! # Formats
@@ -14,17 +14,13 @@
 //! All sums wrap; the loader has proved for every row that its final sum fits.
 
 pub mod portable;
-#[cfg(any(
-    karakuri_kernel = "armv6m",
-    karakuri_kernel = "armv7m",
-    karakuri_kernel = "dsp",
-    karakuri_vfp
-))]
+#[cfg(any(not(karakuri_kernel = "portable"), karakuri_vfp))]
 mod assembly;
 #[cfg(karakuri_kernel = "armv6m")]
 mod armv6m;
 #[cfg(karakuri_kernel = "armv7m")]
 mod armv7m;
+// Cores with vector instructions have the DSP extension as well: tiles, nibbles and pairs run as on the others.
 #[cfg(any(karakuri_kernel = "dsp", karakuri_kernel = "vector"))]
 mod dsp;
 #[cfg(karakuri_vfp)]
@@ -64,13 +60,8 @@ pub const ALIGNMENT: usize = if cfg!(karakuri_kernel = "portable") { 1 } else { 
 #[cfg(karakuri_rows)]
 pub mod rows;
 
-#[cfg(karakuri_kernel = "armv6m")]
-pub use armv6m::{w4a8, w8a8, w8a8_pair, w8a16, w8a16_pair};
-#[cfg(karakuri_kernel = "armv7m")]
-pub use armv7m::{w4a8, w8a8, w8a8_pair, w8a16, w8a16_pair};
-// Cores with vector instructions have the DSP extension as well: tiles, nibbles and pairs run as on the others.
-#[cfg(any(karakuri_kernel = "dsp", karakuri_kernel = "vector"))]
-pub use dsp::{w4a8, w8a8, w8a8_pair, w8a16, w8a16_pair};
+#[cfg(not(karakuri_kernel = "portable"))]
+pub use assembly::tiles::{w4a8, w8a8, w8a8_pair, w8a16, w8a16_pair};
 #[cfg(karakuri_kernel = "portable")]
 pub use portable::{w4a8, w8a8, w8a8_pair, w8a16, w8a16_pair};
 

@@ -1,6 +1,6 @@
 //! Station 7: a checked, borrowed view of a blob. Weights stay where they are, in flash.
 //!
-//! In:  bytes, at any alignment.
+//! In:  bytes; word-aligned where the kernels are assembly.
 //! Out: layers and tables to `decoder.rs` and `sampler.rs`; names and units to the application.
 //!
 //! Why here: everything that can be wrong is found once, in `Model::from_bytes`; decoding cannot fail afterwards.

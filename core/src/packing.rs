@@ -110,16 +110,6 @@ impl ByteLayout {
             }
         }
     }
-
-    /// A weight as it was packed.
-    pub fn weight(self, shape: &LayerShape, packed: &[u8], row: usize, column: usize) -> i8 {
-        let at = |column| {
-            let offset = self.offset(row, column, shape.columns_filled());
-            packed.get(offset).copied().unwrap_or(0).cast_signed()
-        };
-        let borrow = self == Self::Halfwords && column % 2 == 1 && at(column - 1) < 0;
-        at(column).wrapping_add(i8::from(borrow))
-    }
 }
 
 /// Place of a 4-bit weight in the word of its tile of eight columns: bits to the left.

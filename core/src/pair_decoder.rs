@@ -1,7 +1,7 @@
 //! Two poses for the price of 1.6 (`w8a16`) to 1.8 (`w8a8`): each weight is loaded once for both.
 //!
 //! Why here: the temporal embedding is known ahead, so a player that may lag by one frame can decode two at a time. It
-//! saves instructions where there is DSP, and everywhere half of the reads from flash.
+//! saves instructions and half of the reads from flash where there is DSP; the other cores go over the weights twice.
 
 use crate::code::Code;
 use crate::error::BlobError;

@@ -9,9 +9,6 @@
 
 use std::{env, fs, path::Path};
 
-/// What to do about a missing variable.
-const REMEDY: &str = "run `firmware-sim run model.kara`, which builds this program with its inputs";
-
 fn main() {
     let out_dir = env::var("OUT_DIR").expect("cargo sets OUT_DIR");
     let out_dir = Path::new(&out_dir);

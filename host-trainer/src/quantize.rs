@@ -32,7 +32,7 @@ use crate::dataset::DatasetDescription;
 use crate::error::{Error, Result};
 use crate::float_model::{CodeTable, DenseLayer, FloatModel};
 use crate::mixture::set::MixtureSet;
-use crate::quantize::calibrate::{Observed, calibrate, calibration_cases};
+use crate::quantize::calibrate::{CalibrationCase, Observed, calibrate, calibration_cases};
 use crate::quantize::half_layers::half_layers;
 use crate::quantize::integer_layers::{IntegerInput, integer_layers};
 use crate::quantize::layer::{InputScale, activation_scale};
@@ -60,6 +60,17 @@ pub struct QuantizeInput<'a> {
     pub tuned: Option<&'a [InputScale]>,
     /// Where the checkpoint comes from.
     pub provenance: Provenance,
+}
+
+impl QuantizeInput<'_> {
+    /// Codes like those that the device will see.
+    ///
+    /// # Errors
+    /// Those of [`calibration_cases`].
+    pub fn calibration_cases(&self) -> Result<Vec<CalibrationCase>> {
+        let seed = self.provenance.seed;
+        calibration_cases(self.sequence_codes, self.action_codes, self.dataset, self.mixtures, seed)
+    }
 }
 
 /// A blob and what its making showed.
@@ -198,14 +209,7 @@ pub fn default_weights(format: NumberFormat, layers: &[DenseLayer]) -> Vec<Weigh
 /// # Errors
 /// Those of [`calibration_cases`].
 pub fn observe_activations(input: &QuantizeInput<'_>) -> Result<Vec<Observed>> {
-    let cases = calibration_cases(
-        input.sequence_codes,
-        input.action_codes,
-        input.dataset,
-        input.mixtures,
-        input.provenance.seed,
-    )?;
-    Ok(calibrate(input.model, &cases))
+    Ok(calibrate(input.model, &input.calibration_cases()?))
 }
 
 /// How hidden activations are stored. // (hidden layer)

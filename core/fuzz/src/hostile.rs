@@ -6,15 +6,17 @@
 //! Why here: the fuzz targets and the test of the committed corpus (`tests/fuzz_corpus.rs`) are to do the same, so both
 //! compile this file. Only public names are used: a new number format needs new seeds, not new code.
 
+#[path = "checksum.rs"]
+mod checksum;
+
 use karakuri::limits::WIDTH_MAX;
 use karakuri::{
     ActionId, BlobError, Code, Decoder, FramePosition, Model, PairDecoder, PairWorkspace, Pcg32,
     Pose, Workspace,
 };
 
-/// Where the header keeps the blob's length and its checksum (`core/src/blob.rs`).
+/// Where the header keeps the blob's length (`core/src/blob.rs`).
 const LENGTH_FIELD: core::ops::Range<usize> = 8..12;
-const CHECKSUM_FIELD: core::ops::Range<usize> = 12..16;
 /// Larger blobs only slow the search for new ones down.
 const REPAIRED_BYTES_MAX: usize = 1 << 16;
 /// Workspaces for most inputs; wider models get the widest.
@@ -48,30 +50,9 @@ pub fn seal(blob: &mut [u8]) {
     if let Some(field) = blob.get_mut(LENGTH_FIELD) {
         field.copy_from_slice(&length.to_le_bytes());
     }
-    if blob.len() >= CHECKSUM_FIELD.end {
-        let (before, after) = (&blob[..CHECKSUM_FIELD.start], &blob[CHECKSUM_FIELD.end..]);
-        let checksum = crc32(before.iter().chain(after).copied());
-        blob[CHECKSUM_FIELD].copy_from_slice(&checksum.to_le_bytes());
+    if blob.len() >= checksum::CHECKSUM_FIELD.end {
+        checksum::seal(blob);
     }
-}
-
-/// CRC-32 of IEEE 802.3, written anew so that a mistake in `core` is no mistake here.
-pub fn crc32(bytes: impl Iterator<Item = u8>) -> u32 {
-    const TABLE: [u32; 256] = {
-        let mut table = [0; 256];
-        let mut index = 0;
-        while index < table.len() {
-            let (mut value, mut bit) = (index as u32, 0);
-            while bit < 8 {
-                value = if value & 1 == 1 { value >> 1 ^ 0xedb8_8320 } else { value >> 1 };
-                bit += 1;
-            }
-            table[index] = value;
-            index += 1;
-        }
-        table
-    };
-    !bytes.fold(u32::MAX, |crc, byte| crc >> 8 ^ TABLE[usize::from(crc as u8 ^ byte)])
 }
 
 fn use_everything(model: &Model<'_>) {

@@ -5,14 +5,16 @@
 //!
 //! Why here: MULS and the extensions reach r0 to r7 only, but ADD reaches every register: the sums stay in r8 to r11,
 //! so that pointers, activations, a word and a product fit below.
+//!
+//! # Cost
+//! Instructions a tile: `w8a16` 67, `w8a8` 58, pairs twice that (two passes: registers for two frames are missing),
+//! `w4a8` 125 and 61 a group.
+//!
 //! Source: Armv6-M Architecture Reference Manual, A6.7.
 
 #![allow(unsafe_code)]
 
 use core::arch::global_asm;
-
-use super::assembly::{nibbles, run};
-use super::{Quad, TILE_BYTES};
 
 global_asm!(
     r#"
@@ -141,12 +143,12 @@ global_asm!(
         karakuri_armv6m_end \name
     .endm
 
-    karakuri_armv6m_w8 karakuri_armv6m_w8a16, karakuri_armv6m_w8a16_row, 0, 1
+    karakuri_armv6m_w8 karakuri_w8a16, karakuri_armv6m_w8a16_row, 0, 1
     karakuri_armv6m_w8 karakuri_armv6m_w8a16_frame, karakuri_armv6m_w8a16_row, 8, 1
-    karakuri_armv6m_w8 karakuri_armv6m_w8a8, karakuri_armv6m_w8a8_row, 0, 2
+    karakuri_armv6m_w8 karakuri_w8a8, karakuri_armv6m_w8a8_row, 0, 2
     karakuri_armv6m_w8 karakuri_armv6m_w8a8_frame, karakuri_armv6m_w8a8_row, 8, 2
-    karakuri_armv6m_pair karakuri_armv6m_w8a16_pair, karakuri_armv6m_w8a16_frame
-    karakuri_armv6m_pair karakuri_armv6m_w8a8_pair, karakuri_armv6m_w8a8_frame
+    karakuri_armv6m_pair karakuri_w8a16_pair, karakuri_armv6m_w8a16_frame
+    karakuri_armv6m_pair karakuri_w8a8_pair, karakuri_armv6m_w8a8_frame
 
     @ `w4a8`:
     @   r0 activations  r1-r4 words of the rows  r5, r6 two activations  r7 product  r8-r11 sums of the group
@@ -187,7 +189,7 @@ global_asm!(
         str     r6, [r2, #4 * \row]
     .endm
 
-    karakuri_armv6m_begin karakuri_armv6m_w4a8
+    karakuri_armv6m_begin karakuri_w4a8
         karakuri_armv6m_save
         lsls    r2, r2, #4
         adds    r4, r2, r0
@@ -231,66 +233,7 @@ global_asm!(
         b       1b                      @ too far for a condition
     4:  add     sp, #12
         karakuri_armv6m_return
-    karakuri_armv6m_end karakuri_armv6m_w4a8
+    karakuri_armv6m_end karakuri_w4a8
 "#,
     options(raw)
 );
-
-unsafe extern "C" {
-    fn karakuri_armv6m_w8a16(
-        tiles: *const u8,
-        quads: *const Quad,
-        count: usize,
-        sums: &mut [i32; 4],
-    );
-    fn karakuri_armv6m_w8a8(
-        tiles: *const u8,
-        quads: *const Quad,
-        count: usize,
-        sums: &mut [i32; 4],
-    );
-    fn karakuri_armv6m_w8a16_pair(
-        tiles: *const u8,
-        quads: *const [Quad; 2],
-        count: usize,
-        sums: &mut [[i32; 4]; 2],
-    );
-    fn karakuri_armv6m_w8a8_pair(
-        tiles: *const u8,
-        quads: *const [Quad; 2],
-        count: usize,
-        sums: &mut [[i32; 4]; 2],
-    );
-    fn karakuri_armv6m_w4a8(
-        tiles: *const u8,
-        quads: *const Quad,
-        count: usize,
-        sums: &mut [i32; 4],
-        scales: *const u8,
-    );
-}
-
-/// [`portable::w8a16`](super::portable::w8a16): 67 instructions a tile.
-pub fn w8a16(tiles: &[u8], quads: &[Quad], sums: &mut [i32; 4]) {
-    run::<TILE_BYTES, _, _>(karakuri_armv6m_w8a16, tiles, quads, sums);
-}
-
-/// [`portable::w8a8`](super::portable::w8a8): 58 instructions a tile.
-pub fn w8a8(tiles: &[u8], quads: &[Quad], sums: &mut [i32; 4]) {
-    run::<TILE_BYTES, _, _>(karakuri_armv6m_w8a8, tiles, quads, sums);
-}
-
-/// [`portable::w8a16_pair`](super::portable::w8a16_pair), in two passes: registers for two frames are missing.
-pub fn w8a16_pair(tiles: &[u8], quads: &[[Quad; 2]], sums: &mut [[i32; 4]; 2]) {
-    run::<TILE_BYTES, _, _>(karakuri_armv6m_w8a16_pair, tiles, quads, sums);
-}
-
-/// [`portable::w8a8_pair`](super::portable::w8a8_pair), in two passes.
-pub fn w8a8_pair(tiles: &[u8], quads: &[[Quad; 2]], sums: &mut [[i32; 4]; 2]) {
-    run::<TILE_BYTES, _, _>(karakuri_armv6m_w8a8_pair, tiles, quads, sums);
-}
-
-/// [`portable::w4a8`](super::portable::w4a8): 125 instructions a tile, and 61 a group.
-pub fn w4a8(tiles: &[u8], scales: &[u8], quads: &[Quad], sums: &mut [i32; 4]) {
-    nibbles::run(karakuri_armv6m_w4a8, tiles, scales, quads, sums);
-}

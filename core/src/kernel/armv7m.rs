@@ -5,14 +5,16 @@
 //!
 //! Why here: SXTB takes any byte of a word, SBFX any run of bits, MLA multiplies and adds: two instructions a product.
 //! Going column by column needs one activation at a time, so that the words of four rows fit and come in one load.
+//!
+//! # Cost
+//! Instructions a tile: `w8a16` and `w8a8` 38, pairs twice that (two passes: registers for two frames are missing),
+//! `w4a8` 78 and 37 a group.
+//!
 //! Source: Armv7-M Architecture Reference Manual, A7.7.
 
 #![allow(unsafe_code)]
 
 use core::arch::global_asm;
-
-use super::assembly::{nibbles, run};
-use super::{Quad, TILE_BYTES};
 
 // Registers of all kernels:
 //   r0 tile  r1 quad  r2 activation  r3 weight  r4-r7 words of the rows  r8-r11 sums  r12 end of the loop
@@ -101,12 +103,12 @@ global_asm!(
         karakuri_armv7m_end \name
     .endm
 
-    karakuri_armv7m_w8 karakuri_armv7m_w8a16, karakuri_armv7m_w8a16_tile, 0
+    karakuri_armv7m_w8 karakuri_w8a16, karakuri_armv7m_w8a16_tile, 0
     karakuri_armv7m_w8 karakuri_armv7m_w8a16_frame, karakuri_armv7m_w8a16_tile, 8
-    karakuri_armv7m_w8 karakuri_armv7m_w8a8, karakuri_armv7m_w8a8_tile, 0
+    karakuri_armv7m_w8 karakuri_w8a8, karakuri_armv7m_w8a8_tile, 0
     karakuri_armv7m_w8 karakuri_armv7m_w8a8_frame, karakuri_armv7m_w8a8_tile, 8
-    karakuri_armv7m_pair karakuri_armv7m_w8a16_pair, karakuri_armv7m_w8a16_frame
-    karakuri_armv7m_pair karakuri_armv7m_w8a8_pair, karakuri_armv7m_w8a8_frame
+    karakuri_armv7m_pair karakuri_w8a16_pair, karakuri_armv7m_w8a16_frame
+    karakuri_armv7m_pair karakuri_w8a8_pair, karakuri_armv7m_w8a8_frame
 
     @ `w4a8`: r12 ends the group and not the tiles, lr points to the scales; stack: end of the tiles, sums in memory.
     @ Low half of a word << 4k: its lowest 16 - 4k bits, and the activation << 4k instead. High half: 16 bits from bit
@@ -130,7 +132,7 @@ global_asm!(
         add     \sum, \sum, r3, lsl #16
     .endm
 
-    karakuri_armv7m_begin karakuri_armv7m_w4a8
+    karakuri_armv7m_begin karakuri_w4a8
         push    {r3-r11, lr}
         ldr     lr, [sp, #40]
         add     r2, r0, r2, lsl #4
@@ -170,66 +172,7 @@ global_asm!(
         bne     1b
         add     sp, #4
         pop     {r3-r11, pc}
-    karakuri_armv7m_end karakuri_armv7m_w4a8
+    karakuri_armv7m_end karakuri_w4a8
 "#,
     options(raw)
 );
-
-unsafe extern "C" {
-    fn karakuri_armv7m_w8a16(
-        tiles: *const u8,
-        quads: *const Quad,
-        count: usize,
-        sums: &mut [i32; 4],
-    );
-    fn karakuri_armv7m_w8a8(
-        tiles: *const u8,
-        quads: *const Quad,
-        count: usize,
-        sums: &mut [i32; 4],
-    );
-    fn karakuri_armv7m_w8a16_pair(
-        tiles: *const u8,
-        quads: *const [Quad; 2],
-        count: usize,
-        sums: &mut [[i32; 4]; 2],
-    );
-    fn karakuri_armv7m_w8a8_pair(
-        tiles: *const u8,
-        quads: *const [Quad; 2],
-        count: usize,
-        sums: &mut [[i32; 4]; 2],
-    );
-    fn karakuri_armv7m_w4a8(
-        tiles: *const u8,
-        quads: *const Quad,
-        count: usize,
-        sums: &mut [i32; 4],
-        scales: *const u8,
-    );
-}
-
-/// [`portable::w8a16`](super::portable::w8a16): 38 instructions a tile.
-pub fn w8a16(tiles: &[u8], quads: &[Quad], sums: &mut [i32; 4]) {
-    run::<TILE_BYTES, _, _>(karakuri_armv7m_w8a16, tiles, quads, sums);
-}
-
-/// [`portable::w8a8`](super::portable::w8a8): 38 instructions a tile.
-pub fn w8a8(tiles: &[u8], quads: &[Quad], sums: &mut [i32; 4]) {
-    run::<TILE_BYTES, _, _>(karakuri_armv7m_w8a8, tiles, quads, sums);
-}
-
-/// [`portable::w8a16_pair`](super::portable::w8a16_pair), in two passes: registers for two frames are missing.
-pub fn w8a16_pair(tiles: &[u8], quads: &[[Quad; 2]], sums: &mut [[i32; 4]; 2]) {
-    run::<TILE_BYTES, _, _>(karakuri_armv7m_w8a16_pair, tiles, quads, sums);
-}
-
-/// [`portable::w8a8_pair`](super::portable::w8a8_pair), in two passes.
-pub fn w8a8_pair(tiles: &[u8], quads: &[[Quad; 2]], sums: &mut [[i32; 4]; 2]) {
-    run::<TILE_BYTES, _, _>(karakuri_armv7m_w8a8_pair, tiles, quads, sums);
-}
-
-/// [`portable::w4a8`](super::portable::w4a8): 78 instructions a tile, and 37 a group.
-pub fn w4a8(tiles: &[u8], scales: &[u8], quads: &[Quad], sums: &mut [i32; 4]) {
-    nibbles::run(karakuri_armv7m_w4a8, tiles, scales, quads, sums);
-}

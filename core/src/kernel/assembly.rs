@@ -17,7 +17,9 @@
 #![allow(unsafe_code)]
 
 #[cfg(not(karakuri_kernel = "portable"))]
-pub mod nibbles;
+mod nibbles;
+#[cfg(not(karakuri_kernel = "portable"))]
+pub mod tiles;
 
 /// A kernel: aligned weights, activations, how many units there are of both (at least one), sums.
 pub type Kernel<Activations, Sums> =

@@ -27,23 +27,6 @@ mod w4a8;
 
 use core::arch::global_asm;
 
-#[cfg(doc)]
-use super::portable;
-use super::{Quad, TILE_BYTES, assembly::run};
-
-pub use pair::{w8a8_pair, w8a16_pair};
-pub use w4a8::w4a8;
-
-unsafe extern "C" {
-    fn karakuri_dsp_w8a16(tiles: *const u8, quads: *const Quad, count: usize, sums: &mut [i32; 4]);
-    fn karakuri_dsp_w8a8(tiles: *const u8, quads: *const Quad, count: usize, sums: &mut [i32; 4]);
-}
-
-/// [`portable::w8a16`]: 18 instructions a tile, and 2 every 8 tiles.
-pub fn w8a16(tiles: &[u8], quads: &[Quad], sums: &mut [i32; 4]) {
-    run::<TILE_BYTES, _, _>(karakuri_dsp_w8a16, tiles, quads, sums);
-}
-
 // r0 tiles, r1 quads, r2 tiles left, r3 bytes 1 and 3, r4-r7 weights, r8 x0 and x2, r9 x1 and x3, r10-r12 and lr sums.
 // Stack: where the sums belong. Every register is in use: two quads at a time (a load less per two tiles) do not fit.
 global_asm!(
@@ -56,11 +39,11 @@ global_asm!(
     .endm
 
     .cpu    cortex-m4
-    .section .text.karakuri_dsp_w8a16, "ax", %progbits
-    .global karakuri_dsp_w8a16
-    .type   karakuri_dsp_w8a16, %function
+    .section .text.karakuri_w8a16, "ax", %progbits
+    .global karakuri_w8a16
+    .type   karakuri_w8a16, %function
     .thumb_func
-karakuri_dsp_w8a16:
+karakuri_w8a16:
     push    {r3-r11, lr}
     ldm     r3, {r10, r11, r12, lr}
     and     r3, r2, #7
@@ -81,17 +64,12 @@ karakuri_dsp_w8a16:
     pop     {r3}
     stm     r3, {r10, r11, r12, lr}
     pop     {r4-r11, pc}
-    .size   karakuri_dsp_w8a16, . - karakuri_dsp_w8a16
+    .size   karakuri_w8a16, . - karakuri_w8a16
     .purgem karakuri_row
     .text
     "#,
     options(raw)
 );
-
-/// [`portable::w8a8`]: 27 instructions for two tiles, and 3 every 8 tiles.
-pub fn w8a8(tiles: &[u8], quads: &[Quad], sums: &mut [i32; 4]) {
-    run::<TILE_BYTES, _, _>(karakuri_dsp_w8a8, tiles, quads, sums);
-}
 
 // r0 tiles, r1 quads, r4-r7 weights, r8 d0 and d2, r9 x1 and x3, r10 and r11 those of a second quad, r2, r3, r12 and lr
 // sums. Stack: where the sums belong, end of the quads. No register for it: it is needed once in 8 tiles, and two
@@ -112,11 +90,11 @@ global_asm!(
     .endm
 
     .cpu    cortex-m4
-    .section .text.karakuri_dsp_w8a8, "ax", %progbits
-    .global karakuri_dsp_w8a8
-    .type   karakuri_dsp_w8a8, %function
+    .section .text.karakuri_w8a8, "ax", %progbits
+    .global karakuri_w8a8
+    .type   karakuri_w8a8, %function
     .thumb_func
-karakuri_dsp_w8a8:
+karakuri_w8a8:
     push    {r4-r11, lr}
     add     r12, r1, r2, lsl #3
     push    {r3, r12}
@@ -141,7 +119,7 @@ karakuri_dsp_w8a8:
     pop     {r4, r5}
     stm     r4, {r2, r3, r12, lr}
     pop     {r4-r11, pc}
-    .size   karakuri_dsp_w8a8, . - karakuri_dsp_w8a8
+    .size   karakuri_w8a8, . - karakuri_w8a8
     .purgem karakuri_tile
     .purgem karakuri_row
     .text

@@ -37,7 +37,7 @@ pub struct QuantizeArgs {
     /// Order of 8-bit weights: tiles for every chip, rows for vector units (Cortex-M55) and hosts.
     #[arg(long, value_enum, default_value_t = PackingArg::Tiles)]
     pub packing: PackingArg,
-    /// Store what time adds to layer 1 for this many whole frames: a quarter of the work per pose less at the paper's
+    /// Store what time adds to layer 1 for this many whole frames: a fifth of the work per pose less at the paper's
     /// size, for 2 bytes a frame and output of layer 1.
     #[arg(long, value_name = "FRAMES", default_value_t = 0)]
     pub time_table: u16,
@@ -58,7 +58,7 @@ pub struct QuantizeArgs {
 pub enum FormatArg {
     /// i8 weights, i16 activations: the best quality of the integer formats.
     W8a16,
-    /// i8 weights, i8 activations: a fifth fewer instructions.
+    /// i8 weights, i8 activations: a fifth fewer instructions on a Cortex-M4.
     W8a8,
     /// 4-bit weights with group scales, i8 activations: half the flash.
     W4a8,
@@ -134,6 +134,12 @@ pub fn run(args: &QuantizeArgs) -> Result<()> {
     let (quantized, flash_budget) = match args.flash {
         None => (quantize_checkpoint(&name, &checkpoint, &mixtures, &args.options())?, None),
         Some(bytes_max) => {
+            if let Some(tuning) = &checkpoint.state.tuning {
+                let format = &tuning.format;
+                eprintln!(
+                    "note: tuned for {format} as it is by default; --flash may pick other bits than tuning saw"
+                );
+            }
             let input = input_of(&name, &checkpoint, &mixtures, None);
             let progress = progress_bar();
             let within = quantize_within(&input, &args.options(), bytes_max, &progress)?;

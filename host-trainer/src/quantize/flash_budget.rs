@@ -14,7 +14,7 @@ use karakuri::manifest::WeightFormat;
 use karakuri::{Decoder, FramePosition, Model, NumberFormat, Pose, Workspace, limits};
 
 use crate::error::{Error, Result};
-use crate::quantize::calibrate::{CalibrationCase, calibration_cases, decode_float};
+use crate::quantize::calibrate::{CalibrationCase, decode_float};
 use crate::quantize::{HiddenInputs, QuantizeInput, QuantizeOptions, Quantized, quantize_with};
 
 /// Poses whose error is measured, at most.
@@ -163,13 +163,7 @@ fn curve(widest: &Measured, prices: &[Price]) -> Vec<Choice> {
 
 /// Evenly spread over the clips and their mixture draws.
 fn cases(input: &QuantizeInput<'_>) -> Result<Vec<CalibrationCase>> {
-    let all = calibration_cases(
-        input.sequence_codes,
-        input.action_codes,
-        input.dataset,
-        input.mixtures,
-        input.provenance.seed,
-    )?;
+    let all = input.calibration_cases()?;
     let stride = (all.len() * FRAMES_PER_CASE).div_ceil(POSE_COUNT_MAX).max(1);
     let thinned = all.into_iter().step_by(stride).map(|case| {
         let spacing = case.frames.len().div_ceil(FRAMES_PER_CASE).max(1);

@@ -8,18 +8,27 @@
 //! half a nibble of the wanted weight, as plain 4-bit rounding does.
 //! Source: the raw-word packing of `../shared/notes/embedded.md`, section 2, at 4 bits.
 
+use karakuri::kernel::GROUP_TILES;
+use karakuri::packing::{BLOCK_ROWS, nibble_shift};
+
 use crate::quantize::layer::InputScale;
 
 /// Columns that share a scale.
-pub const GROUP_COLUMNS: usize = 64;
+pub const GROUP_COLUMNS: usize = OCTET * GROUP_TILES;
 /// Columns are padded to a multiple of this; padding columns hold the zero point, a real input of 0.
 pub const COLUMN_MULTIPLE: usize = 16;
 /// Columns of one 32-bit word.
 const OCTET: usize = 8;
-/// Rows of a block.
-const BLOCK_ROWS: usize = 4;
 /// Column of the octet whose nibble lies at bits 4·p..4·p+4 of its word. // (p)
-const COLUMN_AT: [usize; OCTET] = [5, 4, 1, 0, 7, 6, 3, 2];
+const COLUMN_AT: [usize; OCTET] = {
+    let mut columns = [0; OCTET];
+    let mut column = 0;
+    while column < OCTET {
+        columns[nibble_shift(column) as usize / 4] = column;
+        column += 1;
+    }
+    columns
+};
 /// 16-bit numbers per nibble step.
 const NIBBLE_ONE: f64 = 4096.0;
 /// Largest group scale.

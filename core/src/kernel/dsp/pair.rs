@@ -11,35 +11,6 @@
 
 use core::arch::global_asm;
 
-#[cfg(doc)]
-use crate::kernel::portable;
-use crate::kernel::{Quad, TILE_BYTES, assembly::run};
-
-unsafe extern "C" {
-    fn karakuri_dsp_w8a16_pair(
-        tiles: *const u8,
-        quads: *const [Quad; 2],
-        count: usize,
-        sums: &mut [[i32; 4]; 2],
-    );
-    fn karakuri_dsp_w8a8_pair(
-        tiles: *const u8,
-        quads: *const [Quad; 2],
-        count: usize,
-        sums: &mut [[i32; 4]; 2],
-    );
-}
-
-/// [`portable::w8a16_pair`]: 28 instructions a tile, and 4 every 8 tiles.
-pub fn w8a16_pair(tiles: &[u8], quads: &[[Quad; 2]], sums: &mut [[i32; 4]; 2]) {
-    run::<TILE_BYTES, _, _>(karakuri_dsp_w8a16_pair, tiles, quads, sums);
-}
-
-/// [`portable::w8a8_pair`]: 24 instructions a tile, and 4 every 8 tiles.
-pub fn w8a8_pair(tiles: &[u8], quads: &[[Quad; 2]], sums: &mut [[i32; 4]; 2]) {
-    run::<TILE_BYTES, _, _>(karakuri_dsp_w8a8_pair, tiles, quads, sums);
-}
-
 // r0 tiles, r1 quads, r2 tiles left, r3 bytes 1 and 3, r4-r7 quads of frame A and B, r8 and r9 weights of two rows,
 // r10 and r11 their sums for frame A, r12 and lr for frame B. Stack: where the sums belong.
 // The function calls its own second half for rows 0 and 1, then runs into it for rows 2 and 3.
@@ -96,8 +67,8 @@ global_asm!(
     .endm
 
     .cpu    cortex-m4
-    karakuri_pair karakuri_dsp_w8a16_pair, karakuri_row_w8a16
-    karakuri_pair karakuri_dsp_w8a8_pair, karakuri_row_w8a8
+    karakuri_pair karakuri_w8a16_pair, karakuri_row_w8a16
+    karakuri_pair karakuri_w8a8_pair, karakuri_row_w8a8
     .purgem karakuri_pair
     .purgem karakuri_row_w8a8
     .purgem karakuri_row_w8a16

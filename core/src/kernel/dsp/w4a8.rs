@@ -10,25 +10,6 @@
 
 use core::arch::global_asm;
 
-#[cfg(doc)]
-use crate::kernel::portable;
-use crate::kernel::{Quad, assembly::nibbles};
-
-unsafe extern "C" {
-    fn karakuri_dsp_w4a8(
-        tiles: *const u8,
-        quads: *const Quad,
-        count: usize,
-        sums: &mut [i32; 4],
-        scales: *const u8,
-    );
-}
-
-/// [`portable::w4a8`]: 250 instructions a group of 64 columns.
-pub fn w4a8(tiles: &[u8], scales: &[u8], quads: &[Quad], sums: &mut [i32; 4]) {
-    nibbles::run(karakuri_dsp_w4a8, tiles, scales, quads, sums);
-}
-
 // r0 tiles, r1 quads, r4-r7 weights, r8-r11 activations, r2, r3, r12 and lr sums of the group.
 // Stack: the four sums of the rows, the scales, the number of octets left less 8 (negative: no whole group), then where
 // the sums belong. Between groups the first six are in r4-r9, and r10 and r11 hold four scales.
@@ -59,11 +40,11 @@ global_asm!(
     .endm
 
     .cpu    cortex-m4
-    .section .text.karakuri_dsp_w4a8, "ax", %progbits
-    .global karakuri_dsp_w4a8
-    .type   karakuri_dsp_w4a8, %function
+    .section .text.karakuri_w4a8, "ax", %progbits
+    .global karakuri_w4a8
+    .type   karakuri_w4a8, %function
     .thumb_func
-karakuri_dsp_w4a8:
+karakuri_w4a8:
     ldr     r12, [sp]
     push    {r3-r11, lr}
     ldm     r3, {r4-r7}
@@ -99,7 +80,7 @@ karakuri_dsp_w4a8:
     pop     {r3}
     stm     r3, {r4-r7}
     pop     {r4-r11, pc}
-    .size   karakuri_dsp_w4a8, . - karakuri_dsp_w4a8
+    .size   karakuri_w4a8, . - karakuri_w4a8
     .purgem karakuri_octet
     .purgem karakuri_row
     .text

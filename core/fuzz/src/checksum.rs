@@ -1,4 +1,4 @@
-//! The blob's checksum, for tests that change bytes behind it.
+//! The blob's checksum, for whoever changes bytes behind it: the fuzz targets and the tests of hostile blobs.
 
 use std::ops::Range;
 
