@@ -3,8 +3,8 @@
 //! In:  a *block* (the weights of four rows, packed by `packing.rs`) and activations.
 //! Out: four accumulators, updated in place.
 //!
-//! Why here: nine tenths of a pose's instructions are spent in these loops. `build.rs` chooses the family from the target;
-//! [`portable`] is the definition that the others must equal bit for bit, and runs everywhere.
+//! Why here: nine tenths of a pose's instructions are spent in these loops. `build.rs` chooses the family from the
+//! target; [`portable`] is the definition that the others must equal bit for bit, and runs everywhere.
 //!
 //! # Formats
 //! Activations come in *quads*, four halfwords in two words. `x0..x3` are the inputs of columns 0 to 3:
