@@ -12,7 +12,7 @@
 //! Why here: the same training writes the same bytes, so nothing in the file depends on the clock, unless the budget
 //! itself is one of minutes.
 
-mod tensor_file;
+pub(crate) mod tensor_file;
 
 use std::fs;
 use std::path::Path;
@@ -188,7 +188,8 @@ impl Checkpoint {
     }
 
     fn from_bytes(bytes: &[u8], file: &Path) -> Result<Self> {
-        let reader = TensorReader::parse(bytes, file)?;
+        let remedy = "give the folder of a run of this program, or train again";
+        let reader = TensorReader::parse(bytes, file, remedy)?;
         let config = TrainConfig::from_toml(reader.metadata("config")?, file)?;
         let dataset: DatasetDescription = reader.json("dataset")?;
         check_description(&dataset, file)?;

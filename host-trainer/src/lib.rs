@@ -20,6 +20,7 @@ pub mod random;
 pub mod simd;
 pub mod float_model;
 pub mod checkpoint;
+pub mod classifier;
 pub mod train;
 pub mod mixture;
 pub mod quantize;

@@ -19,6 +19,8 @@ pub enum Purpose {
     Bench,
     /// Choice of the held-out clips of an action.
     HoldOut,
+    /// Initial hidden state of the action classifier, one index a motion.
+    HiddenStart,
 }
 
 /// The generator of one purpose and index.

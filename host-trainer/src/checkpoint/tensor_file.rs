@@ -55,7 +55,7 @@ impl Values<'_> {
 
 /// Collects tensors, then writes them in a fixed order.
 #[derive(Default)]
-pub(super) struct TensorWriter<'a> {
+pub(crate) struct TensorWriter<'a> {
     metadata: BTreeMap<&'static str, String>,
     tensors: Vec<(String, Vec<usize>, Values<'a>)>,
 }
@@ -93,7 +93,7 @@ impl<'a> TensorWriter<'a> {
         self.counts(&format!("adam.step_count.{name}"), &moments.step_counts);
     }
 
-    fn floats(&mut self, name: String, shape: Vec<usize>, values: &'a [f32]) {
+    pub fn floats(&mut self, name: String, shape: Vec<usize>, values: &'a [f32]) {
         self.tensors.push((name, shape, Values::F32(values)));
     }
 
@@ -127,35 +127,38 @@ impl<'a> TensorWriter<'a> {
 }
 
 /// A parsed file, with every access checked.
-pub(super) struct TensorReader<'a> {
+pub(crate) struct TensorReader<'a> {
     file: &'a Path,
+    /// What the user can do about a file that does not fit.
+    remedy: &'static str,
     metadata: HashMap<String, String>,
     tensors: SafeTensors<'a>,
 }
 
 impl<'a> TensorReader<'a> {
-    pub fn parse(bytes: &'a [u8], file: &'a Path) -> Result<Self> {
+    pub fn parse(bytes: &'a [u8], file: &'a Path, remedy: &'static str) -> Result<Self> {
         let refuse = |error: safetensors::SafeTensorError| {
-            damaged(
-                file,
-                "the file",
-                format!("{} bytes ({error})", bytes.len()),
-                "a whole checkpoint",
-            )
+            let found = format!("{} bytes ({error})", bytes.len());
+            Error::bad_input(file, "the file", found, "a whole safetensors file", remedy)
         };
         let (_, header) = SafeTensors::read_metadata(bytes).map_err(refuse)?;
         let tensors = SafeTensors::deserialize(bytes).map_err(refuse)?;
-        Ok(Self { file, metadata: header.metadata().clone().unwrap_or_default(), tensors })
+        Ok(Self { file, remedy, metadata: header.metadata().clone().unwrap_or_default(), tensors })
     }
 
     pub fn metadata(&self, key: &str) -> Result<&str> {
-        let missing = || damaged(self.file, format!("metadata `{key}`"), "missing", "a text");
-        self.metadata.get(key).map(String::as_str).ok_or_else(missing)
+        let missing = || self.refusal(format!("metadata `{key}`"), "missing", "a text");
+        self.find_metadata(key).ok_or_else(missing)
+    }
+
+    /// Metadata that not every file has.
+    pub fn find_metadata(&self, key: &str) -> Option<&str> {
+        self.metadata.get(key).map(String::as_str)
     }
 
     pub fn json<T: DeserializeOwned>(&self, key: &str) -> Result<T> {
         serde_json::from_str(self.metadata(key)?).map_err(|error| {
-            damaged(self.file, format!("metadata `{key}`"), error, "JSON of this program")
+            self.refusal(format!("metadata `{key}`"), error, "JSON of this program")
         })
     }
 
@@ -196,7 +199,12 @@ impl<'a> TensorReader<'a> {
         })
     }
 
-    fn floats(&self, name: &str, shape: &[usize]) -> Result<Vec<f32>> {
+    /// Rows and columns of a matrix whose size the file decides; `None` when there is no such tensor.
+    pub fn find_matrix_shape(&self, name: &str) -> Option<[usize; 2]> {
+        self.tensors.tensor(name).ok()?.shape().try_into().ok()
+    }
+
+    pub fn floats(&self, name: &str, shape: &[usize]) -> Result<Vec<f32>> {
         Ok(words(self.bytes(name, Dtype::F32, shape)?).map(f32::from_le_bytes).collect())
     }
 
@@ -204,27 +212,27 @@ impl<'a> TensorReader<'a> {
         let field = || format!("tensor `{name}`");
         let expected = || format!("{dtype:?} of shape {shape:?}");
         let Ok(tensor) = self.tensors.tensor(name) else {
-            return Err(damaged(self.file, field(), "missing", expected()));
+            return Err(self.refusal(field(), "missing", expected()));
         };
         if tensor.dtype() != dtype || tensor.shape() != shape {
             let found = format!("{:?} of shape {:?}", tensor.dtype(), tensor.shape());
-            return Err(damaged(self.file, field(), found, expected()));
+            return Err(self.refusal(field(), found, expected()));
         }
         Ok(tensor.data())
+    }
+
+    /// This file's [`Error::BadInput`].
+    pub fn refusal(
+        &self,
+        field: impl ToString,
+        value: impl ToString,
+        expected: impl ToString,
+    ) -> Error {
+        Error::bad_input(self.file, field, value, expected, self.remedy)
     }
 }
 
 /// Cuts bytes into little-endian words.
 fn words<const N: usize>(bytes: &[u8]) -> impl Iterator<Item = [u8; N]> {
     bytes.as_chunks().0.iter().copied()
-}
-
-fn damaged(
-    file: &Path,
-    field: impl ToString,
-    value: impl ToString,
-    expected: impl ToString,
-) -> Error {
-    let remedy = "give the folder of a run of this program, or train again";
-    Error::bad_input(file, field, value, expected, remedy)
 }

@@ -66,7 +66,7 @@ impl ActivationGrid {
 
 /// eˣ for x ≤ 0; below −87 as at −87, which is 0 for every purpose here.
 #[inline(always)]
-fn exp_of_negative(x: f32) -> f32 {
+pub(crate) fn exp_of_negative(x: f32) -> f32 {
     /// Adding 1.5 · 2²³ leaves the nearest integer in the low mantissa bits.
     const ROUNDER: f32 = 12_582_912.0;
     /// ln 2 in two parts; the first has so few bits that n · LN_2_HIGH is exact.

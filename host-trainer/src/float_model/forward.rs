@@ -131,18 +131,18 @@ pub(super) fn multiply_rows(target: &mut [f32], left: &[f32], right: MatRef<'_, 
 }
 
 /// A row-major slice as a matrix. // (row, width)
-pub(super) fn matrix(values: &[f32], width: usize) -> MatRef<'_, f32> {
+pub(crate) fn matrix(values: &[f32], width: usize) -> MatRef<'_, f32> {
     MatRef::from_row_major_slice(values, values.len() / width, width)
 }
 
 /// A row-major slice as a matrix to write. // (row, width)
-pub(super) fn matrix_mut(values: &mut [f32], width: usize) -> MatMut<'_, f32> {
+pub(crate) fn matrix_mut(values: &mut [f32], width: usize) -> MatMut<'_, f32> {
     let row_count = values.len() / width;
     MatMut::from_row_major_slice_mut(values, row_count, width)
 }
 
 /// `target = left · right`, or `+=`, on this thread.
-pub(super) fn multiply(
+pub(crate) fn multiply(
     target: MatMut<'_, f32>,
     accumulate: Accum,
     left: MatRef<'_, f32>,
