@@ -4,6 +4,7 @@ pub mod bench;
 pub mod character;
 pub mod clips;
 pub mod demo;
+pub mod evaluate;
 pub mod generate;
 pub mod inspect;
 pub mod inspect_clips;

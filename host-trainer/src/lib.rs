@@ -27,6 +27,7 @@ pub mod quantize;
 pub mod tune;
 pub mod reconstruct;
 pub mod generate;
+pub mod evaluate;
 pub mod export;
 pub mod picture;
 pub mod commands;

@@ -21,6 +21,10 @@ pub enum Purpose {
     HoldOut,
     /// Initial hidden state of the action classifier, one index a motion.
     HiddenStart,
+    /// Which motions an evaluation scores, and which frames of them.
+    Crop,
+    /// Pairs of motions whose distance an evaluation takes.
+    Pairs,
 }
 
 /// The generator of one purpose and index.

@@ -34,16 +34,28 @@ pub struct SplitClips {
 /// # Errors
 /// Whatever the importer, the split, the representation or the dataset has to say about a file.
 pub fn read_clip_data(path: &Path, args: &ImportArgs, config: &TrainConfig) -> Result<SplitClips> {
+    let (clip_set, skeleton) = read_clip_set(path, args)?;
+    split(clip_set, skeleton, config)
+}
+
+/// Reads clips as they are, and the skeleton that the flags name.
+///
+/// # Errors
+/// Whatever the importer has to say about a file, or a skeleton that does not exist.
+pub fn read_clip_set(path: &Path, args: &ImportArgs) -> Result<(ClipSet, Option<Skeleton>)> {
     let clip_set = import::read(path, &args.options()?)?;
     for remark in &clip_set.remarks {
         eprintln!("{remark}");
     }
     let skeleton = args.skeleton.as_deref().map(Skeleton::by_name_or_file).transpose()?;
-    split(clip_set, skeleton, config)
+    Ok((clip_set, skeleton))
 }
 
 /// Held-out clips take skeleton, mean and scale from the training clips, and give nothing to them.
-fn split(
+///
+/// # Errors
+/// As [`read_clip_data`].
+pub fn split(
     clip_set: ClipSet,
     skeleton: Option<Skeleton>,
     config: &TrainConfig,

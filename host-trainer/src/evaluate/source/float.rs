@@ -1,0 +1,136 @@
+//! Motions of the float model.
+//!
+//! In:  a checkpoint, and a [`CodeSampler`] over its sequence codes.
+//! Out: joint positions, to `evaluate`.
+
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+
+use super::{CodeSampler, MotionRequest, MotionSource, SourceDescription};
+use crate::body::Body;
+use crate::checkpoint::Checkpoint;
+use crate::error::{Error, Result};
+use crate::evaluate::real::{metres_of, positions_of};
+use crate::float_model::{Rows, Workspace};
+
+/// Motions that go through the decoder together: enough to share the moments' half of layer 1.
+const MOTIONS_PER_BATCH: usize = 64;
+
+/// The float decoder with a sampler.
+pub struct FloatSource<'a> {
+    checkpoint: &'a Checkpoint,
+    sampler: &'a dyn CodeSampler,
+    body: Body,
+    name: String,
+    file_hash: String,
+}
+
+impl<'a> FloatSource<'a> {
+    /// `name` and `file_hash` are for the report.
+    ///
+    /// # Errors
+    /// A run whose poses are not a body.
+    pub fn new(
+        checkpoint: &'a Checkpoint,
+        sampler: &'a dyn CodeSampler,
+        name: impl Into<String>,
+        file_hash: impl Into<String>,
+    ) -> Result<Self> {
+        let name = name.into();
+        let dataset = &checkpoint.dataset;
+        let body = Body::new(&dataset.layout, dataset.skeleton.as_ref()).ok_or_else(|| {
+            Error::bad_input(
+                &name,
+                "layout",
+                "not a body",
+                "joint positions or rotations",
+                "only bodies can be evaluated: the classifier sees joints",
+            )
+        })?;
+        Ok(Self { checkpoint, sampler, body, name, file_hash: file_hash.into() })
+    }
+
+    /// β by the sampler, then the action's mean α.
+    fn code(&self, request: &MotionRequest) -> Result<Vec<f32>> {
+        let mut random = ChaCha8Rng::seed_from_u64(request.seed);
+        let mut code = self.sampler.sample(request.action, request.frame_count, &mut random)?;
+        code.extend(self.checkpoint.action_codes.mean_of(request.action));
+        Ok(code)
+    }
+
+    fn decode(&self, requests: &[MotionRequest], poses: &mut Vec<Vec<f32>>) -> Result<()> {
+        let model = &self.checkpoint.model;
+        let codes: Vec<Vec<f32>> =
+            requests.iter().map(|request| self.code(request)).collect::<Result<_>>()?;
+        let windows = requests.iter().map(|request| request.window);
+        let frames = |window: super::Window| window.first..window.first + window.count;
+        let mut moments: Vec<usize> = windows.clone().flat_map(frames).collect();
+        moments.sort_unstable();
+        moments.dedup();
+        let mut tau = vec![0.0; moments.len() * model.sinusoid_count()];
+        for (row, &frame) in tau.chunks_exact_mut(model.sinusoid_count().max(1)).zip(&moments) {
+            model.embed_time(frame as f64, row);
+        }
+        let pairs = windows
+            .enumerate()
+            .flat_map(|(motion, window)| frames(window).map(move |frame| (motion, frame)));
+        let (code_of_row, moment_of_row): (Vec<usize>, Vec<usize>) = pairs
+            .map(|(motion, frame)| (motion, moments.partition_point(|&moment| moment < frame)))
+            .unzip();
+        let mut workspace = Workspace::new(model, requests.len(), moments.len(), code_of_row.len());
+        let rows = Rows {
+            codes: &codes.concat(),
+            tau: &tau,
+            code_of_row: &code_of_row,
+            moment_of_row: &moment_of_row,
+        };
+        model.forward(&rows, &mut workspace);
+        let mut outputs = workspace.outputs();
+        for request in requests {
+            poses.push(outputs.by_ref().take(request.window.count).flatten().copied().collect());
+        }
+        Ok(())
+    }
+}
+
+impl MotionSource for FloatSource<'_> {
+    fn description(&self) -> SourceDescription {
+        SourceDescription {
+            name: self.name.clone(),
+            format: "float".to_owned(),
+            sampler: self.sampler.name(),
+            config_hash: self.checkpoint.state.config_hash.clone(),
+            seed: self.checkpoint.state.seed,
+            file_hash: self.file_hash.clone(),
+            bytes: None,
+        }
+    }
+
+    fn actions(&self) -> &[String] {
+        &self.checkpoint.dataset.actions
+    }
+
+    fn joint_count(&self) -> usize {
+        self.body.joint_count()
+    }
+
+    fn rate_hz(&self) -> f64 {
+        self.checkpoint.dataset.rate_hz
+    }
+
+    fn joint_positions(&self, requests: &[MotionRequest]) -> Result<Vec<Vec<f32>>> {
+        let mut poses = Vec::with_capacity(requests.len());
+        for batch in requests.chunks(MOTIONS_PER_BATCH) {
+            self.decode(batch, &mut poses)?;
+        }
+        let dataset = &self.checkpoint.dataset;
+        let metres = metres_of(&dataset.layout);
+        poses.par_iter_mut().for_each(|motion| {
+            dataset.destandardize(motion);
+            let poses = motion.chunks_exact(dataset.layout.channel_count());
+            *motion = poses.flat_map(|pose| positions_of(&self.body, pose, metres)).collect();
+        });
+        Ok(poses)
+    }
+}
