@@ -29,7 +29,7 @@ use crate::error::{Error, Result};
 use crate::random::{Purpose, stream};
 use crate::train::{BAR_LENGTH, Progress, progress_bar};
 use crop::{Crops, Window};
-use frechet::{Gaussian, motions_min};
+use frechet::motions_min;
 use judge::Judge;
 use protocol::{ActionShares, Protocol, Role};
 use real::{RealMotion, RealMotions};

@@ -152,7 +152,7 @@ fn measure_source(
 }
 
 /// The clips, split as for the run's training; all on one side without a run.
-fn read_data(args: &EvaluateArgs, run: Option<(&PathBuf, &Checkpoint)>) -> Result<RealMotions> {
+fn read_data(args: &EvaluateArgs, run: Option<(&Path, &Checkpoint)>) -> Result<RealMotions> {
     let (clip_set, skeleton) = read_clip_set(&args.data, &args.import)?;
     let mut clip_set_on_skeleton = clip_set.clone();
     if skeleton.is_some() {
