@@ -11,9 +11,17 @@
 //!
 //! Source: Guo et al., Action2Motion, ACM MM 2020; its public code and weights.
 
+mod backward;
+pub mod example;
 mod file;
 mod gate;
+mod lesson;
 mod recurrent;
+#[cfg(test)]
+mod specimen;
+pub mod train;
+
+pub use file::Description;
 
 use faer::Accum;
 use rand::RngExt;
@@ -32,6 +40,7 @@ pub struct Classifier {
     /// Of every recurrent layer the input half and the recurrent half; then features; then logits.
     layers: Vec<DenseLayer>,
     actions: Option<Vec<String>>,
+    description: Option<Description>,
 }
 
 /// The hidden state before frame 0; the papers differ.
@@ -78,6 +87,16 @@ impl Classifier {
     /// conversions in `shared/data` have them.
     pub fn actions(&self) -> Option<&[String]> {
         self.actions.as_deref()
+    }
+
+    /// What it was trained on; only files of `host-trainer classify` say it.
+    pub fn description(&self) -> Option<&Description> {
+        self.description.as_ref()
+    }
+
+    /// The same classifier, which now says where it comes from.
+    pub fn with_description(self, description: Description) -> Self {
+        Self { description: Some(description), ..self }
     }
 
     /// Features and logits of motions.
@@ -185,6 +204,7 @@ mod tests {
     use std::fs;
     use std::path::PathBuf;
 
+    use super::specimen::{classifier, reference, values};
     use super::*;
     use crate::checkpoint::tensor_file::TensorReader;
 
@@ -212,29 +232,6 @@ mod tests {
     fn largest_error(found: &[f32], expected: &[f32]) -> f32 {
         assert_eq!(found.len(), expected.len());
         found.iter().zip(expected).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
-    }
-
-    /// Values that look random enough, between -1 and 1.
-    fn values(len: usize) -> Vec<f32> {
-        (0..len).map(|index| (index as f32 * 1.7).sin()).collect()
-    }
-
-    fn classifier(channel_count: usize, unit_count: usize) -> Classifier {
-        let widths = [
-            (channel_count, 3 * unit_count),
-            (unit_count, 3 * unit_count),
-            (unit_count, 3 * unit_count),
-            (unit_count, 3 * unit_count),
-            (unit_count, 5),
-            (5, 3),
-        ];
-        let layer = |(input_count, output_count)| DenseLayer {
-            input_count,
-            output_count,
-            weights: values(input_count * output_count),
-            bias: values(output_count),
-        };
-        Classifier { layers: widths.map(layer).to_vec(), actions: None }
     }
 
     #[test]
@@ -271,34 +268,7 @@ mod tests {
     fn forward_pass_equals_the_formula_in_f64() {
         let classifier = classifier(6, 4);
         let poses = values(5 * 6);
-        let mut inputs: Vec<Vec<f64>> =
-            poses.chunks(6).map(|pose| pose.iter().map(|x| f64::from(*x)).collect()).collect();
-        let product = |layer: &DenseLayer, input: &[f64]| -> Vec<f64> {
-            let rows = layer.weights.chunks(layer.input_count).zip(&layer.bias);
-            let sum = |(row, bias): (&[f32], &f32)| {
-                let products = row.iter().zip(input).map(|(w, x)| f64::from(*w) * x);
-                f64::from(*bias) + products.sum::<f64>()
-            };
-            rows.map(sum).collect()
-        };
-        let sigmoid = |x: f64| 1.0 / (1.0 + (-x).exp());
-        for layer in 0..2 {
-            let RecurrentLayer { input, recurrent } = classifier.recurrent(layer);
-            let mut state = vec![0.0; 4];
-            for frame in &mut inputs {
-                let (x, h) = (product(input, frame), product(recurrent, &state));
-                for unit in 0..4 {
-                    let r = sigmoid(x[unit] + h[unit]);
-                    let z = sigmoid(x[4 + unit] + h[4 + unit]);
-                    let n = (x[8 + unit] + r * h[8 + unit]).tanh();
-                    state[unit] = (1.0 - z) * n + z * state[unit];
-                }
-                frame.clone_from(&state);
-            }
-        }
-        let features: Vec<f64> =
-            product(&classifier.layers[4], &inputs[4]).into_iter().map(f64::tanh).collect();
-        let logits = product(&classifier.layers[5], &features);
+        let (features, logits) = reference(&classifier, &poses);
         let scores = classifier.score(&poses, 5, HiddenStart::Zeros);
         for (found, expected) in scores.features.iter().zip(&features) {
             assert!((f64::from(*found) - expected).abs() < 1e-5);

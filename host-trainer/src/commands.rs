@@ -2,6 +2,7 @@
 
 pub mod bench;
 pub mod character;
+pub mod classify;
 pub mod clips;
 pub mod demo;
 pub mod evaluate;

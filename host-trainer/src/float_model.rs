@@ -102,7 +102,17 @@ impl DenseLayer {
 
     /// Weights and bias uniform in ±1/√in: PyTorch's default, which the published code uses.
     fn random(input_count: usize, output_count: usize, rng: &mut impl Rng) -> Self {
-        let limit = 1.0 / (input_count as f32).sqrt();
+        Self::uniform(input_count, output_count, input_count, rng)
+    }
+
+    /// Weights and bias uniform in ±1/√`fan`.
+    pub(crate) fn uniform(
+        input_count: usize,
+        output_count: usize,
+        fan: usize,
+        rng: &mut impl Rng,
+    ) -> Self {
+        let limit = 1.0 / (fan as f32).sqrt();
         let mut layer = Self::zeros(input_count, output_count);
         for value in layer.weights.iter_mut().chain(&mut layer.bias) {
             *value = rng.random_range(-limit..limit);

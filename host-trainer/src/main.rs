@@ -4,8 +4,8 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 use host_trainer::commands::{
-    bench, character, demo, evaluate, generate, inspect, inspect_clips, quantize, reconstruct,
-    train, tune,
+    bench, character, classify, demo, evaluate, generate, inspect, inspect_clips, quantize,
+    reconstruct, train, tune,
 };
 use host_trainer::error::Result;
 
@@ -39,6 +39,8 @@ enum Verb {
     Quantize(quantize::QuantizeArgs),
     /// Make new motions
     Generate(generate::GenerateArgs),
+    /// Train the classifier that motions are evaluated by
+    Classify(classify::ClassifyArgs),
     /// Measure how real generated motions are
     Evaluate(evaluate::EvaluateArgs),
     /// Measure the speed of training
@@ -65,6 +67,7 @@ fn run(verb: &Verb) -> Result<()> {
         Verb::Tune(args) => tune::run(args),
         Verb::Quantize(args) => quantize::run(args),
         Verb::Generate(args) => generate::run(args),
+        Verb::Classify(args) => classify::run(args),
         Verb::Evaluate(args) => evaluate::run(args),
         Verb::Bench(args) => bench::run(args),
     }

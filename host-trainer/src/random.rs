@@ -21,7 +21,7 @@ pub enum Purpose {
     HoldOut,
     /// Initial hidden state of the action classifier, one index a motion.
     HiddenStart,
-    /// Which motions an evaluation scores, and which frames of them.
+    /// Which motions an evaluation scores, or a classifier learns from, and which frames of them.
     Crop,
     /// Pairs of motions whose distance an evaluation takes.
     Pairs,

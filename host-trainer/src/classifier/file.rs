@@ -2,22 +2,89 @@
 //!
 //! `recurrent.weight_ih_l{i}` (3 · unit, input), `recurrent.weight_hh_l{i}` (3 · unit, unit), `recurrent.bias_ih_l{i}`,
 //! `recurrent.bias_hh_l{i}`, `linear1.weight` (feature, unit), `linear1.bias`, `linear2.weight` (action, feature),
-//! `linear2.bias`; in the metadata `classes`, the names of the actions as JSON.
+//! `linear2.bias`; in the metadata `classes`, the names of the actions as JSON, and in our own files `description`, the
+//! JSON of [`Description`].
 //!
 //! Why here: the names stay PyTorch's, so that classifiers which others have published and ours are read alike.
 
 use std::fs;
 use std::path::Path;
 
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+
 use super::Classifier;
+use super::example::Input;
 use super::recurrent::GATE_COUNT;
-use crate::checkpoint::tensor_file::TensorReader;
+use super::train::Settings;
+use crate::atomic_file::{self, Overwrite};
+use crate::checkpoint::tensor_file::{TensorReader, TensorWriter};
 use crate::error::{Error, Result};
 use crate::float_model::DenseLayer;
 
 const REMEDY: &str = "give a file of `host-trainer classify`, or one that Action2Motion's classifier was converted to";
 
+/// Where a classifier of `host-trainer classify` comes from, and what it may be used for.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Description {
+    /// What it reads.
+    pub input: Input,
+    /// The joints or channels that it reads, in order.
+    pub names: Vec<String>,
+    /// Poses per second of its clips.
+    pub rate_hz: f64,
+    /// How it was trained; `frames` is how many poses of a motion it has to see.
+    pub settings: Settings,
+    /// SHA-256 of the settings, hexadecimal.
+    pub config_hash: String,
+    /// SHA-256 of the training clips, hexadecimal.
+    pub data_hash: String,
+    /// Clips that it learned from.
+    pub training_clip_count: usize,
+    /// Names of the clips that it did not learn from.
+    pub held_out: Vec<String>,
+    /// Share of the training clips that it is right about.
+    pub training_accuracy: f64,
+    /// Of the held-out clips; `None` without any.
+    pub held_out_accuracy: Option<f64>,
+}
+
 impl Classifier {
+    /// Writes the classifier; the same classifier gives the same bytes.
+    ///
+    /// # Errors
+    /// `BadInput` when the file exists and `overwrite` is `Refuse`; `Io` when it cannot be written.
+    pub fn save(&self, path: &Path, overwrite: Overwrite) -> Result<()> {
+        atomic_file::check(path, overwrite)?;
+        let json = |error| unreachable!("plain structs: {error}");
+        let mut writer = TensorWriter::default();
+        if let Some(actions) = &self.actions {
+            writer.metadata("classes", serde_json::to_string(actions).unwrap_or_else(json));
+        }
+        if let Some(description) = &self.description {
+            let text = serde_json::to_string(description).unwrap_or_else(json);
+            writer.metadata("description", text);
+        }
+        for (layer, [weight, bias]) in self.layers.iter().zip(self.tensor_names()) {
+            let shape = vec![layer.output_count, layer.input_count];
+            writer.floats(weight, shape, &layer.weights);
+            writer.floats(bias, vec![layer.output_count], &layer.bias);
+        }
+        writer.replace(path)
+    }
+
+    /// Weight and bias of every layer.
+    fn tensor_names(&self) -> impl Iterator<Item = [String; 2]> {
+        let recurrent = |index| {
+            ["ih", "hh"].map(|half| {
+                ["weight", "bias"].map(|what| format!("recurrent.{what}_{half}_l{index}"))
+            })
+        };
+        let ends = ["linear1", "linear2"];
+        let ends = ends.map(|name| ["weight", "bias"].map(|what| format!("{name}.{what}")));
+        (0..self.recurrent_count()).flat_map(recurrent).chain(ends)
+    }
+
     /// Reads a classifier.
     ///
     /// # Errors
@@ -28,7 +95,8 @@ impl Classifier {
         let bytes = fs::read(path).map_err(Error::io("read", path))?;
         let reader = TensorReader::parse(&bytes, path, REMEDY)?;
         let layers = read_layers(&reader)?;
-        let classifier = Self { layers, actions: read_actions(&reader)? };
+        let description = read_optional(&reader, "description")?;
+        let classifier = Self { layers, actions: read_optional(&reader, "classes")?, description };
         if let Some(actions) = classifier.actions() {
             let (found, expected) = (actions.len(), classifier.action_count());
             if found != expected {
@@ -40,8 +108,8 @@ impl Classifier {
     }
 }
 
-fn read_actions(reader: &TensorReader<'_>) -> Result<Option<Vec<String>>> {
-    reader.find_metadata("classes").map(|_| reader.json("classes")).transpose()
+fn read_optional<T: DeserializeOwned>(reader: &TensorReader<'_>, key: &str) -> Result<Option<T>> {
+    reader.find_metadata(key).map(|_| reader.json(key)).transpose()
 }
 
 fn read_layers(reader: &TensorReader<'_>) -> Result<Vec<DenseLayer>> {
@@ -187,6 +255,18 @@ mod tests {
         let message = refusal(&tensors(), 0.1, r#"["nod"]"#);
         assert!(message.contains("names is 1, expected 2"), "{message}");
         assert!(refusal(&tensors(), 0.1, "nod, wave").contains("JSON"));
+    }
+
+    #[test]
+    fn saved_classifier_comes_back_and_is_never_overwritten_unasked() {
+        let classifier = crate::classifier::specimen::classifier(4, 3);
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("judge.safetensors");
+        classifier.save(&file, Overwrite::Refuse).unwrap();
+        assert_eq!(Classifier::load(&file).unwrap(), classifier);
+        let message = classifier.save(&file, Overwrite::Refuse).unwrap_err().to_string();
+        assert!(message.contains("there already"), "{message}");
+        classifier.save(&file, Overwrite::Replace).unwrap();
     }
 
     #[test]
