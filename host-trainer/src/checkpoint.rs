@@ -20,10 +20,10 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-use crate::config::{DecoderStep, TrainConfig};
+use crate::config::{CodeComposition, DecoderStep, TrainConfig};
 use crate::dataset::{Dataset, DatasetDescription};
 use crate::error::{Error, Result};
-use crate::float_model::{CodeTable, DenseLayer, FloatModel, ModelShape};
+use crate::float_model::{CodeTable, DenseLayer, FloatModel, ModelShape, tied_codes};
 use crate::random::{Purpose, stream};
 use crate::train::optimizer::{CodeMoments, DecoderMoments};
 use tensor_file::{TensorReader, TensorWriter};
@@ -117,7 +117,13 @@ impl Checkpoint {
         let description = &dataset.description;
         let codes = &config.codes;
         let mut rng = stream(config.seed, Purpose::Weights, 0);
-        let model = FloatModel::random(&model_shape(config, description), &mut rng);
+        let mut model = FloatModel::random(&model_shape(config, description), &mut rng);
+        if codes.compose == CodeComposition::Add {
+            tied_codes::tie_start(&mut model);
+        }
+        if !codes.action_code {
+            tied_codes::clear_action_columns(&mut model);
+        }
         let start = codes.log_variance_start as f32;
         let sequence_codes =
             CodeTable::constant(description.clips.len(), codes.sequence_dimensions, start);

@@ -69,6 +69,18 @@ pub enum CodeRows {
     Dense,
 }
 
+/// How layer 1 sees a clip's code and its action's.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum CodeComposition {
+    /// Side by side, each with weights of its own.
+    #[default]
+    Concatenate,
+    /// Their sum: β is how a clip differs from its action. Kept as two halves of layer 1 with the same weights, so
+    /// nothing after training has to know.
+    Add,
+}
+
 /// Course of the learning rates over the budget.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -155,6 +167,12 @@ section! {
         sequence_variational: bool,
         /// Whether α is drawn from its Gaussian and pays for its divergence.
         action_variational: bool,
+        /// How layer 1 sees β and α. Like `action_code`, out of the canonical text at its default, as `hold_out` is.
+        #[serde(default, skip_serializing_if = "is_default")]
+        compose: CodeComposition,
+        /// Whether actions have a code. Without one α stays 0, and β alone tells the actions apart.
+        #[serde(default = "yes", skip_serializing_if = "Clone::clone")]
+        action_code: bool,
     }
 }
 
@@ -226,6 +244,13 @@ section! {
     }
 }
 
+impl CodesConfig {
+    /// Whether β, and whether α, is drawn from its Gaussian.
+    pub fn variational(&self) -> [bool; 2] {
+        [self.sequence_variational, self.action_variational && self.action_code]
+    }
+}
+
 impl TrainConfig {
     /// A built-in preset.
     ///
@@ -280,6 +305,15 @@ impl TrainConfig {
 #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde hands over a reference")]
 fn is_zero(value: &f64) -> bool {
     *value == 0.0
+}
+
+fn is_default<T: Default + PartialEq>(value: &T) -> bool {
+    *value == T::default()
+}
+
+/// For keys that were `true` before they existed.
+fn yes() -> bool {
+    true
 }
 
 fn preset_table(name: &str) -> Result<Table> {
@@ -359,6 +393,8 @@ mod tests {
             ("hold_out = nan", "hold_out"),
             ("[batch]\nclips = \"many\"", "batch.clips"),
             ("[batch]\nclips = 0", "batch.clips"),
+            ("[codes]\ncompose = 'add'\naction_dimensions = 31", "codes.action_dimensions"),
+            ("[codes]\ncompose = 'add'\naction_code = false", "codes.action_code"),
             ("[schedule]\nshape = \"linear\"", "linear"),
             ("[adam]\nbeta1 = 1.0", "adam.beta1"),
             ("[time]\nsinusoid_count = 63", "time.sinusoid_count"),
@@ -392,6 +428,21 @@ mod tests {
         assert_ne!(holding_out.config_hash(), preset.config_hash());
         let zero = with_file("hold_out = 0").unwrap();
         assert_eq!(zero.config_hash(), preset.config_hash());
+    }
+
+    #[test]
+    fn keys_that_came_later_leave_the_hash_alone_at_their_defaults() {
+        let preset = TrainConfig::preset("small").unwrap();
+        for (section, default, other) in [
+            ("codes", "compose = 'concatenate'", "compose = 'add'"),
+            ("codes", "action_code = true", "action_code = false"),
+        ] {
+            let same = with_file(&format!("[{section}]\n{default}")).unwrap();
+            assert_eq!(same.config_hash(), preset.config_hash(), "{default}");
+            let changed = with_file(&format!("[{section}]\n{other}")).unwrap();
+            assert_ne!(changed.config_hash(), preset.config_hash(), "{other}");
+            assert!(!preset.to_toml().contains(default.split(' ').next().unwrap()), "{default}");
+        }
     }
 
     #[test]

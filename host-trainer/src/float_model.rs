@@ -13,6 +13,7 @@
 pub mod activation;
 pub mod backward;
 pub mod forward;
+pub mod tied_codes;
 pub mod workspace;
 
 use rand::{Rng, RngExt};

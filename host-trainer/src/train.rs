@@ -359,11 +359,13 @@ mod tests {
         trainer.checkpoint.save(run).unwrap();
     }
 
-    const VARIANTS: [&str; 4] = [
+    const VARIANTS: [&str; 6] = [
         "",
         "[update]\norder = 'alternate'\ndecoder_step = 'epoch'\ngradient_norm_max = 0.5",
         "[update]\ncode_rows = 'dense'\n[loss]\nreduction = 'kind'",
         "[codes]\naction_variational = false\n[update]\ndecoder_step = 'epoch'",
+        "[codes]\ncompose = 'add'\naction_dimensions = 4\n[update]\ndecoder_step = 'epoch'",
+        "[codes]\naction_code = false",
     ];
 
     #[test]

@@ -3,7 +3,7 @@
 use std::fmt::Display;
 use std::path::Path;
 
-use super::TrainConfig;
+use super::{CodeComposition, TrainConfig};
 use crate::error::{Error, Result};
 
 /// One key: its name, its value, whether the value is in order, and what is expected.
@@ -24,7 +24,7 @@ impl TrainConfig {
         }
     }
 
-    fn model_rules(&self) -> [Rule; 6] {
+    fn model_rules(&self) -> [Rule; 8] {
         let (widths, time, codes) = (&self.decoder.hidden_widths, &self.time, &self.codes);
         let widths_fit = !widths.is_empty() && widths.iter().all(|w| (1..=65_535).contains(w));
         let sinusoids = time.sinusoid_count;
@@ -54,6 +54,19 @@ impl TrainConfig {
                 codes.log_variance_start.to_string(),
                 codes.log_variance_start.abs() <= 20.0,
                 "a number from -20 to 20",
+            ),
+            rule(
+                "codes.action_dimensions",
+                codes.action_dimensions,
+                codes.compose != CodeComposition::Add
+                    || codes.action_dimensions == codes.sequence_dimensions,
+                "that of codes.sequence_dimensions, for codes that are added",
+            ),
+            rule(
+                "codes.action_code",
+                codes.action_code,
+                codes.compose != CodeComposition::Add || codes.action_code,
+                "true, for codes that are added",
             ),
         ]
     }

@@ -235,7 +235,7 @@ impl Batch {
 
     /// z = μ + exp(½ log σ²) ε, for β and α, with fresh ε for every clip.
     fn draw_codes(&mut self, config: &TrainConfig, tables: [&CodeTable; 2], rng: &mut impl Rng) {
-        let variational = [config.codes.sequence_variational, config.codes.action_variational];
+        let variational = config.codes.variational();
         for index in 0..self.clips.len() {
             let mut start = index * self.code_count;
             for (part, row) in [self.clips[index], self.actions[index]].into_iter().enumerate() {

@@ -8,8 +8,9 @@
 use faer::Accum;
 
 use crate::checkpoint::Checkpoint;
-use crate::config::{CodeRows, DecoderStep, Reduction, TrainConfig};
+use crate::config::{CodeComposition, CodeRows, DecoderStep, Reduction, TrainConfig};
 use crate::dataset::Dataset;
+use crate::float_model::tied_codes::tie_gradient;
 use crate::float_model::{CodeTable, Wanted, Workspace};
 use crate::layout::PoseLayout;
 use crate::simd::vectorized;
@@ -96,7 +97,9 @@ impl<'a> Trainer<'a> {
         self.differentiate(&position);
         self.collect_code_gradients();
         if position.moves_codes {
-            self.move_action_codes(rate_factor);
+            if self.checkpoint.config.codes.action_code {
+                self.move_action_codes(rate_factor);
+            }
             self.move_sequence_codes(rate_factor);
         }
         if position.moves_decoder && self.decoder_is_due(&position) {
@@ -175,7 +178,7 @@ impl<'a> Trainer<'a> {
             self.sequence_gradient.log_variance[range].fill(0.0);
         }
         let kl_weight = config.loss.kl_weight as f32 / self.batch.clips.len() as f32;
-        let variational = [config.codes.sequence_variational, config.codes.action_variational];
+        let variational = config.codes.variational();
         let mut divergence = 0.0;
         let mut start = 0;
         for (&clip, &action) in self.batch.clips.iter().zip(&self.batch.actions) {
@@ -236,6 +239,9 @@ impl<'a> Trainer<'a> {
 
     fn move_decoder(&mut self, rate_factor: f64) {
         let Checkpoint { config, model, optimizer, .. } = &mut self.checkpoint;
+        if config.codes.compose == CodeComposition::Add {
+            tie_gradient(&mut optimizer.decoder_gradient[0], model.sequence_code_count);
+        }
         let norm_max = config.update.gradient_norm_max;
         let gradient_scale = if norm_max > 0.0 {
             let squares = optimizer
@@ -428,6 +434,50 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn added_codes_keep_their_halves_alike_and_learn_by_the_sum_of_both_gradients() {
+        const STEP: f32 = 4e-3;
+        let (dataset, config) =
+            (dataset(), config("[codes]\ncompose = 'add'\naction_dimensions = 4"));
+        let mut checkpoint = Checkpoint::start(&dataset, &config);
+        let values = checkpoint.sequence_codes.mean.iter_mut();
+        values.enumerate().for_each(|(index, mean)| *mean = (index as f32).sin());
+        checkpoint.action_codes.mean.fill(0.5);
+        let mut trainer = Trainer::new(checkpoint.clone(), &dataset);
+        trainer.step(1.0);
+        let first = &trainer.checkpoint.model.layers[0];
+        for row in first.weights.chunks_exact(first.input_count) {
+            assert_eq!(row[..4], row[4..8]);
+        }
+        assert_ne!(*first, checkpoint.model.layers[0]);
+        let gradient = &trainer.checkpoint.optimizer.decoder_gradient[0];
+        for place in (0..gradient.weights.len()).filter(|place| place % 16 < 4) {
+            let moved = |step: f32| {
+                let mut moved = checkpoint.clone();
+                moved.model.layers[0].weights[place] += step;
+                moved.model.layers[0].weights[place + 4] += step;
+                loss_of(&dataset, &moved)
+            };
+            let numeric = (moved(STEP) - moved(-STEP)) / f64::from(2.0 * STEP);
+            let difference = (numeric - f64::from(gradient.weights[place])).abs();
+            assert!(difference < 1e-3 * numeric.abs() + 3e-5, "{numeric} {place}");
+        }
+    }
+
+    #[test]
+    fn actions_without_a_code_stay_at_zero_and_draw_no_noise() {
+        let (dataset, config) = (dataset(), config("[codes]\naction_code = false"));
+        let mut trainer = Trainer::new(Checkpoint::start(&dataset, &config), &dataset);
+        let start = trainer.checkpoint.action_codes.clone();
+        (0..5).for_each(|_| trainer.step(1.0));
+        assert_eq!(trainer.checkpoint.action_codes, start);
+        assert!(start.mean.iter().all(|mean| *mean == 0.0));
+        assert!(trainer.batch.rows().codes.chunks_exact(7).all(|code| code[4..] == [0.0; 3]));
+        let first = &trainer.checkpoint.model.layers[0];
+        let rows = first.weights.chunks_exact(first.input_count);
+        assert!(rows.into_iter().all(|row| row[4..7] == [0.0; 3]));
     }
 
     #[test]
