@@ -81,6 +81,19 @@ pub enum CodeComposition {
     Add,
 }
 
+/// Which frames of a clip a batch holds.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum FrameSampling {
+    /// Any, none twice.
+    #[default]
+    Random,
+    /// One from each of equal parts of the clip: less noise in the gradient.
+    Spread,
+    /// As `Spread`, and the longer a clip, the more of it: every pose of all clips is equally likely.
+    Proportional,
+}
+
 /// Course of the learning rates over the budget.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -191,8 +204,11 @@ section! {
     BatchConfig {
         /// Clips a step, at most.
         clips: usize,
-        /// Random frames a clip.
+        /// Frames a clip, on average.
         frames: usize,
+        /// Which frames; out of the canonical text at its default, as `hold_out` is.
+        #[serde(default, skip_serializing_if = "is_default")]
+        sampling: FrameSampling,
     }
 }
 
@@ -436,6 +452,7 @@ mod tests {
         for (section, default, other) in [
             ("codes", "compose = 'concatenate'", "compose = 'add'"),
             ("codes", "action_code = true", "action_code = false"),
+            ("batch", "sampling = 'random'", "sampling = 'spread'"),
         ] {
             let same = with_file(&format!("[{section}]\n{default}")).unwrap();
             assert_eq!(same.config_hash(), preset.config_hash(), "{default}");

@@ -14,7 +14,7 @@ use rand::seq::SliceRandom;
 use rand::{Rng, RngExt};
 use rand_distr::{Distribution, StandardNormal};
 
-use crate::config::{TrainConfig, UpdateOrder};
+use crate::config::{BatchConfig, FrameSampling, TrainConfig, UpdateOrder};
 use crate::dataset::Dataset;
 use crate::float_model::{CodeTable, FloatModel, Rows, Workspace};
 use crate::random::{Purpose, stream};
@@ -169,7 +169,7 @@ impl Batch {
         self.actions.clear();
         self.actions.extend(self.clips.iter().map(|&clip| descriptions[clip].action));
         let mut rng = stream(config.seed, Purpose::Step, step);
-        self.draw_frames(dataset, config.batch.frames, &mut rng);
+        self.draw_frames(dataset, &config.batch, &mut rng);
         self.draw_codes(config, tables, &mut rng);
         position
     }
@@ -185,7 +185,7 @@ impl Batch {
         self.order_of_pass = Some(pass);
     }
 
-    fn draw_frames(&mut self, dataset: &Dataset, frames_per_clip: usize, rng: &mut impl Rng) {
+    fn draw_frames(&mut self, dataset: &Dataset, config: &BatchConfig, rng: &mut impl Rng) {
         for moment in self.moments.drain(..) {
             self.moment_of_frame[moment] = None;
         }
@@ -193,9 +193,30 @@ impl Batch {
         self.target_rows.clear();
         self.code_of_row.clear();
         self.moment_of_row.clear();
+        match config.sampling {
+            FrameSampling::Random => self.draw_random(dataset, config.frames, rng),
+            FrameSampling::Spread => self.draw_spread(dataset, |_| config.frames, rng),
+            FrameSampling::Proportional => {
+                let row_count = self.clips.len() * config.frames;
+                let clips = &dataset.description.clips;
+                let pose_count: usize = self.clips.iter().map(|&c| clips[c].frame_count).sum();
+                // A clip's share of the rows, rounded so that all shares together are all rows.
+                let mut poses_before = 0;
+                let rows_until = |poses: usize| poses * row_count / pose_count;
+                let share = |frame_count: usize| {
+                    let first = rows_until(poses_before);
+                    poses_before += frame_count;
+                    rows_until(poses_before) - first
+                };
+                self.draw_spread(dataset, share, rng);
+            }
+        }
+    }
+
+    /// Any frames of a clip, none twice.
+    fn draw_random(&mut self, dataset: &Dataset, frames_per_clip: usize, rng: &mut impl Rng) {
         for index in 0..self.clips.len() {
-            let clip = self.clips[index];
-            let frame_count = dataset.description.clips[clip].frame_count;
+            let frame_count = dataset.description.clips[self.clips[index]].frame_count;
             let first_row = self.target_rows.len();
             for place in 0..frames_per_clip {
                 let frame = if frame_count <= frames_per_clip {
@@ -203,13 +224,37 @@ impl Batch {
                 } else {
                     self.unused_frame(frame_count - frames_per_clip + place, first_row, rng)
                 };
-                let pose = frame.min(frame_count - 1);
-                self.target_rows.push(dataset.first_rows[clip] + pose);
-                self.code_of_row.push(index);
-                let moment = self.moment_of(frame);
-                self.moment_of_row.push(moment);
+                self.push_row(dataset, index, frame);
             }
         }
+    }
+
+    /// One frame from each of equal parts of a clip, as many as `count` says for its number of frames.
+    fn draw_spread(
+        &mut self,
+        dataset: &Dataset,
+        mut count: impl FnMut(usize) -> usize,
+        rng: &mut impl Rng,
+    ) {
+        for index in 0..self.clips.len() {
+            let frame_count = dataset.description.clips[self.clips[index]].frame_count;
+            let part_count = count(frame_count);
+            for part in 0..part_count {
+                let place = (part as f64 + rng.random::<f64>()) / part_count as f64;
+                let frame = (place * frame_count as f64) as usize;
+                self.push_row(dataset, index, frame.min(frame_count - 1));
+            }
+        }
+    }
+
+    /// Adds a frame of a clip of the batch; after the clip's end its last pose is the target.
+    fn push_row(&mut self, dataset: &Dataset, index: usize, frame: usize) {
+        let clip = self.clips[index];
+        let pose = frame.min(dataset.description.clips[clip].frame_count - 1);
+        self.target_rows.push(dataset.first_rows[clip] + pose);
+        self.code_of_row.push(index);
+        let moment = self.moment_of(frame);
+        self.moment_of_row.push(moment);
     }
 
     /// A frame in 0..=`last` that the clip has not got yet; `last` itself when the draw is taken.
@@ -328,6 +373,39 @@ mod tests {
             counts.iter().all(|count| (f64::from(*count) / expected - 1.0).abs() < 0.1),
             "{counts:?}"
         );
+    }
+
+    /// How often each frame of each clip is drawn in 3000 steps of whole passes. // (frame of all clips)
+    fn frequencies(sampling: &str) -> Vec<f64> {
+        let mut counts = vec![0.0; 106];
+        for step in 0..3000 {
+            let (batch, _) = drawn(step, &format!("[batch]\nclips = 5\nsampling = '{sampling}'"));
+            assert_eq!(batch.target_rows.len(), 25);
+            batch.target_rows.iter().for_each(|&row| counts[row] += 1.0 / 3000.0);
+        }
+        counts
+    }
+
+    #[test]
+    fn spread_frames_come_one_from_each_part_and_equally_often() {
+        for step in 0..50 {
+            let (batch, _) = drawn(step, "[batch]\nsampling = 'spread'");
+            let whole = batch.clips.iter().position(|&clip| clip == 2);
+            let Some(index) = whole else { continue };
+            let rows = &batch.target_rows[5 * index..5 * index + 5];
+            let parts: Vec<usize> = rows.iter().map(|row| (row - 15) / 8).collect();
+            assert_eq!(parts, [0, 1, 2, 3, 4]);
+        }
+        let found = frequencies("spread");
+        for (rows, frame_count) in [(0..12, 12.0), (12..15, 3.0), (15..55, 40.0), (76..106, 30.0)] {
+            assert!(found[rows].iter().all(|share| (share * frame_count / 5.0 - 1.0).abs() < 0.2));
+        }
+    }
+
+    #[test]
+    fn proportional_sampling_draws_every_pose_of_all_clips_equally_often() {
+        let found = frequencies("proportional");
+        assert!(found.iter().all(|share| (share * 106.0 / 25.0 - 1.0).abs() < 0.2), "{found:?}");
     }
 
     #[test]
