@@ -97,6 +97,9 @@ pub struct Tuning {
     pub learning_rate: f64,
     /// How activations are stored, settled before the first step. // (hidden layer)
     pub activations: Vec<TunedActivation>,
+    /// Bits of each layer's weights (code half, time half, the others); empty: those of the format by default.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub weight_bits: Vec<u8>,
 }
 
 /// See `quantize::layer::InputScale`; an f32, which survives the trip through JSON.

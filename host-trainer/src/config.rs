@@ -90,8 +90,6 @@ pub enum FrameSampling {
     Random,
     /// One from each of equal parts of the clip: less noise in the gradient.
     Spread,
-    /// As `Spread`, and the longer a clip, the more of it: every pose of all clips is equally likely.
-    Proportional,
 }
 
 /// Course of the learning rates over the budget.
@@ -204,7 +202,7 @@ section! {
     BatchConfig {
         /// Clips a step, at most.
         clips: usize,
-        /// Frames a clip, on average.
+        /// Frames a clip.
         frames: usize,
         /// Which frames; out of the canonical text at its default, as `hold_out` is.
         #[serde(default, skip_serializing_if = "is_default")]

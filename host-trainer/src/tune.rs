@@ -16,12 +16,16 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use karakuri::NumberFormat;
+use karakuri::manifest::WeightFormat;
 
 use crate::checkpoint::{Checkpoint, TunedActivation, Tuning};
 use crate::config::ScheduleShape;
 use crate::error::{Error, Result};
+use crate::quantize::default_weights;
+use crate::quantize::flash_budget::weight_format;
 use crate::quantize::layer::InputScale;
 use crate::quantize::sampler::code_fraction_bits;
+use crate::quantize::split::split_layers;
 use crate::train::metrics::{MetricLine, MetricLog, MetricSums, plot_losses};
 use crate::train::optimizer::DecoderMoments;
 use crate::train::schedule::rate_factor;
@@ -42,6 +46,8 @@ pub struct TuneRequest<'a> {
     pub format: NumberFormat,
     /// How hidden activations are stored. // (hidden layer)
     pub activations: Vec<InputScale>,
+    /// Bits of each layer's weights (code half, time half, the others); empty: those of the format by default.
+    pub weight_bits: Vec<u8>,
     /// Steps.
     pub step_count: u64,
     /// Learning rate of the first step; it falls to 0 along a cosine.
@@ -111,14 +117,18 @@ impl TuneRequest<'_> {
             step: 0,
             learning_rate: self.learning_rate,
             activations: self.activations.iter().map(stored).collect(),
+            weight_bits: self.weight_bits.clone(),
         }
     }
 
     fn tuner(&self, checkpoint: Checkpoint) -> Tuner<'_> {
-        let hidden = tuning_of(&checkpoint).inputs(self.format);
+        let tuning = tuning_of(&checkpoint);
+        let (hidden, weights) = (tuning.inputs(self.format), tuning.weights());
         let bits = code_fraction_bits([&checkpoint.sequence_codes, &checkpoint.action_codes]);
         let Checkpoint { model, dataset, .. } = &checkpoint;
-        let device = Device::new(self.format, model, dataset, hidden, bits);
+        let weights =
+            weights.unwrap_or_else(|| default_weights(self.format, &split_layers(model, dataset)));
+        let device = Device::new(self.format, model, weights, hidden, bits);
         Tuner::new(checkpoint, &self.parent.model, device)
     }
 }
@@ -134,6 +144,12 @@ impl Tuning {
             magnitude_max,
         };
         self.activations.iter().map(input).collect()
+    }
+
+    /// How the weights of each layer are stored; `None`: as the format has it by default.
+    pub fn weights(&self) -> Option<Vec<WeightFormat>> {
+        let weights = self.weight_bits.iter().copied().map(weight_format).collect::<Vec<_>>();
+        (!weights.is_empty()).then_some(weights)
     }
 }
 
@@ -269,6 +285,7 @@ mod tests {
             parent_hash: "parent",
             format,
             activations: activation_scales(&calibrate(&parent.model, &cases), format),
+            weight_bits: Vec::new(),
             step_count,
             learning_rate: 1e-3,
             seed: 5,
@@ -318,6 +335,7 @@ mod tests {
         let others = [
             ("--seed", TuneRequest { seed: 6, ..request.clone() }),
             ("--steps", TuneRequest { step_count: 4, ..request.clone() }),
+            ("bits of weights", TuneRequest { weight_bits: vec![8; 4], ..request.clone() }),
             ("hash of RUN", TuneRequest { parent_hash: "another", ..request.clone() }),
         ];
         for (field, other) in others {
@@ -377,9 +395,12 @@ mod tests {
     #[test]
     fn tuned_checkpoint_quantises_to_the_very_weights_that_tuning_saw() {
         let parent = trained();
-        for format in FORMATS {
+        let cases = FORMATS.map(|format| (format, vec![]));
+        // Code half, time half, two others: the device may mix bits as it likes.
+        let mixed = [vec![4, 8, 8, 4], vec![8, 4, 4, 8]].map(|bits| (NumberFormat::W4A8, bits));
+        for (format, weight_bits) in cases.into_iter().chain(mixed) {
             let (_folder, out) = folder();
-            let request = request(&parent, format, 50);
+            let request = TuneRequest { weight_bits, ..request(&parent, format, 50) };
             let start = folder::create(&begin(&request), &out).unwrap();
             let mut tuner = request.tuner(start);
             (0..50).for_each(|step| tuner.step(1, step, 1e-3));

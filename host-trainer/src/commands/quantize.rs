@@ -7,7 +7,7 @@ use karakuri::NumberFormat;
 use karakuri::manifest::{Packing, Provenance, SamplerKind};
 
 use crate::atomic_file::{self, Overwrite};
-use crate::checkpoint::Checkpoint;
+use crate::checkpoint::{Checkpoint, Tuning};
 use crate::error::Result;
 use crate::inspect::blob::BlobReport;
 use crate::mixture;
@@ -160,7 +160,7 @@ pub fn run(args: &QuantizeArgs) -> Result<()> {
 }
 
 /// On stderr; its length is set by what reports to it.
-fn progress_bar() -> ProgressBar {
+pub fn progress_bar() -> ProgressBar {
     let style = ProgressStyle::with_template("{bar:40} {pos}/{len} layers priced {elapsed}");
     ProgressBar::new(0).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
 }
@@ -187,7 +187,7 @@ fn print_accumulator_use(accumulator_use: &[f64]) -> Result<()> {
 }
 
 /// `250000`, `256K` or `1M`; K and M count by 1024.
-fn parse_size(text: &str) -> std::result::Result<usize, String> {
+pub fn parse_size(text: &str) -> std::result::Result<usize, String> {
     let (digits, unit) = match text.as_bytes().last() {
         Some(b'k' | b'K') => (&text[..text.len() - 1], 1 << 10),
         Some(b'm' | b'M') => (&text[..text.len() - 1], 1 << 20),
@@ -205,11 +205,16 @@ pub fn quantize_checkpoint(
     mixtures: &MixtureSet,
     options: &QuantizeOptions,
 ) -> Result<Quantized> {
-    let tuned = tuned_activations(checkpoint, options.format);
-    quantize(&input_of(name, checkpoint, mixtures, tuned.as_deref()), options)
+    let tuning = checkpoint.state.tuning.as_ref();
+    let tuning = tuning.filter(|tuning| tuning.format == options.format.name());
+    let tuned = tuning.map(|tuning| tuning.inputs(options.format));
+    let weights = options.weights.clone().or_else(|| tuning.and_then(Tuning::weights));
+    let options = QuantizeOptions { weights, ..options.clone() };
+    quantize(&input_of(name, checkpoint, mixtures, tuned.as_deref()), &options)
 }
 
-fn input_of<'a>(
+/// The quantiser's view of a checkpoint; `tuned` is how tuning has settled that activations are stored.
+pub fn input_of<'a>(
     name: &'a str,
     checkpoint: &'a Checkpoint,
     mixtures: &'a MixtureSet,
@@ -228,10 +233,4 @@ fn input_of<'a>(
             seed: checkpoint.config.seed,
         },
     }
-}
-
-/// How tuning for this very format has settled that activations are stored.
-fn tuned_activations(checkpoint: &Checkpoint, format: NumberFormat) -> Option<Vec<InputScale>> {
-    let tuning = checkpoint.state.tuning.as_ref()?;
-    (tuning.format == format.name()).then(|| tuning.inputs(format))
 }

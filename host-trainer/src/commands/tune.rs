@@ -4,17 +4,17 @@ use std::fs;
 use std::path::PathBuf;
 
 use karakuri::NumberFormat;
-use karakuri::manifest::Provenance;
 use serde::Serialize;
 use sha2::{Digest, Sha256};
 
 use crate::atomic_file;
 use crate::checkpoint::{Checkpoint, hexadecimal};
+use crate::commands::quantize::{input_of, parse_size, progress_bar};
 use crate::commands::train::{resume_command, stop_on_interrupt};
 use crate::error::{Error, Result};
 use crate::mixture;
-use crate::quantize::layer::InputScale;
-use crate::quantize::{QuantizeInput, activation_scales, observe_activations};
+use crate::quantize::flash_budget::quantize_within;
+use crate::quantize::{QuantizeInput, QuantizeOptions, activation_scales, observe_activations};
 use crate::stdout::{print, print_json};
 use crate::table::Table;
 use crate::train::{Progress, Start};
@@ -30,8 +30,12 @@ pub struct TuneArgs {
     /// Folder of the trained run; it stays as it is
     pub run: PathBuf,
     /// Number format that the result will be quantised to
-    #[arg(long, value_enum)]
-    pub format: TuneFormat,
+    #[arg(long, value_enum, required_unless_present = "flash")]
+    pub format: Option<TuneFormat>,
+    /// Tune for the weights that `quantize --flash SIZE` picks for RUN, 4 or 8 bits a layer (w4a8). Quantise the result
+    /// with `--format w4a8`
+    #[arg(long, value_name = "SIZE", value_parser = parse_size, conflicts_with = "format")]
+    pub flash: Option<usize>,
     /// Folder of the tuned run: checkpoint, metrics, plot
     #[arg(long, value_name = "RUN2")]
     pub out: PathBuf,
@@ -120,14 +124,18 @@ pub fn run(args: &TuneArgs) -> Result<()> {
     let file = args.run.join(Checkpoint::FILE_NAME);
     let bytes = fs::read(&file).map_err(Error::io("read", &file))?;
     let parent_hash = hexadecimal(&Sha256::digest(bytes));
-    let format = args.format.into();
+    let tune_format = args.format.unwrap_or(TuneFormat::W4a8);
+    let format = tune_format.into();
+    let mixtures = mixture::file::of_checkpoint(&args.run, &parent)?;
+    let input = input_of("tune", &parent, &mixtures, None);
     let request = TuneRequest {
-        activations: activations(args, &parent, format)?,
+        activations: activation_scales(&observe_activations(&input)?, format),
+        weight_bits: args.flash.map_or(Ok(Vec::new()), |size| weight_bits(&input, size))?,
         parent: &parent,
         parent_hash: &parent_hash,
         format,
         step_count: args.steps,
-        learning_rate: args.learning_rate.unwrap_or(args.format.learning_rate()),
+        learning_rate: args.learning_rate.unwrap_or(tune_format.learning_rate()),
         seed: args.seed,
     };
     let stop = stop_on_interrupt(&args.out)?;
@@ -171,26 +179,12 @@ fn load_parent(args: &TuneArgs) -> Result<Checkpoint> {
     }
 }
 
-/// As `quantize` would store the activations of the parent.
-fn activations(
-    args: &TuneArgs,
-    parent: &Checkpoint,
-    format: NumberFormat,
-) -> Result<Vec<InputScale>> {
-    let input = QuantizeInput {
-        name: "tune",
-        model: &parent.model,
-        sequence_codes: &parent.sequence_codes,
-        action_codes: &parent.action_codes,
-        dataset: &parent.dataset,
-        mixtures: &mixture::file::of_checkpoint(&args.run, parent)?,
-        tuned: None,
-        provenance: Provenance {
-            config_hash: parent.config.config_hash(),
-            seed: parent.config.seed,
-        },
-    };
-    Ok(activation_scales(&observe_activations(&input)?, format))
+/// The bits that `quantize --flash` picks for the parent; its curve goes to stderr.
+fn weight_bits(input: &QuantizeInput<'_>, bytes_max: usize) -> Result<Vec<u8>> {
+    let options = QuantizeOptions::new(NumberFormat::W4A8);
+    let (_, budget) = quantize_within(input, &options, bytes_max, &progress_bar())?;
+    eprintln!("{budget}");
+    Ok(budget.weight_bits().to_vec())
 }
 
 fn report(args: &TuneArgs, parent_hash: &str, tuned: &Tuned) -> Result<()> {
@@ -201,7 +195,7 @@ fn report(args: &TuneArgs, parent_hash: &str, tuned: &Tuned) -> Result<()> {
         return print_json(&Report {
             run: args.run.display().to_string(),
             out: args.out.display().to_string(),
-            format: NumberFormat::from(args.format).name(),
+            format: NumberFormat::from(args.format.unwrap_or(TuneFormat::W4a8)).name(),
             steps: args.steps,
             seed: args.seed,
             parent_hash,

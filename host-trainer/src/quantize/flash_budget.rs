@@ -46,6 +46,13 @@ pub struct FlashBudget {
     pub error_measured: f64,
 }
 
+impl FlashBudget {
+    /// Bits of each layer's weights, as chosen.
+    pub fn weight_bits(&self) -> &[u8] {
+        &self.curve[self.chosen].weight_bits
+    }
+}
+
 impl fmt::Display for FlashBudget {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(
@@ -133,7 +140,8 @@ struct Measured {
     error: f64,
 }
 
-fn weight_format(bits: u8) -> WeightFormat {
+/// The format of weights of so many bits.
+pub fn weight_format(bits: u8) -> WeightFormat {
     if bits == 4 { WeightFormat::I4 } else { WeightFormat::I8 }
 }
 

@@ -195,21 +195,7 @@ impl Batch {
         self.moment_of_row.clear();
         match config.sampling {
             FrameSampling::Random => self.draw_random(dataset, config.frames, rng),
-            FrameSampling::Spread => self.draw_spread(dataset, |_| config.frames, rng),
-            FrameSampling::Proportional => {
-                let row_count = self.clips.len() * config.frames;
-                let clips = &dataset.description.clips;
-                let pose_count: usize = self.clips.iter().map(|&c| clips[c].frame_count).sum();
-                // A clip's share of the rows, rounded so that all shares together are all rows.
-                let mut poses_before = 0;
-                let rows_until = |poses: usize| poses * row_count / pose_count;
-                let share = |frame_count: usize| {
-                    let first = rows_until(poses_before);
-                    poses_before += frame_count;
-                    rows_until(poses_before) - first
-                };
-                self.draw_spread(dataset, share, rng);
-            }
+            FrameSampling::Spread => self.draw_spread(dataset, config.frames, rng),
         }
     }
 
@@ -229,16 +215,10 @@ impl Batch {
         }
     }
 
-    /// One frame from each of equal parts of a clip, as many as `count` says for its number of frames.
-    fn draw_spread(
-        &mut self,
-        dataset: &Dataset,
-        mut count: impl FnMut(usize) -> usize,
-        rng: &mut impl Rng,
-    ) {
+    /// One frame from each of as many equal parts of a clip.
+    fn draw_spread(&mut self, dataset: &Dataset, part_count: usize, rng: &mut impl Rng) {
         for index in 0..self.clips.len() {
             let frame_count = dataset.description.clips[self.clips[index]].frame_count;
-            let part_count = count(frame_count);
             for part in 0..part_count {
                 let place = (part as f64 + rng.random::<f64>()) / part_count as f64;
                 let frame = (place * frame_count as f64) as usize;
@@ -375,17 +355,6 @@ mod tests {
         );
     }
 
-    /// How often each frame of each clip is drawn in 3000 steps of whole passes. // (frame of all clips)
-    fn frequencies(sampling: &str) -> Vec<f64> {
-        let mut counts = vec![0.0; 106];
-        for step in 0..3000 {
-            let (batch, _) = drawn(step, &format!("[batch]\nclips = 5\nsampling = '{sampling}'"));
-            assert_eq!(batch.target_rows.len(), 25);
-            batch.target_rows.iter().for_each(|&row| counts[row] += 1.0 / 3000.0);
-        }
-        counts
-    }
-
     #[test]
     fn spread_frames_come_one_from_each_part_and_equally_often() {
         for step in 0..50 {
@@ -396,16 +365,15 @@ mod tests {
             let parts: Vec<usize> = rows.iter().map(|row| (row - 15) / 8).collect();
             assert_eq!(parts, [0, 1, 2, 3, 4]);
         }
-        let found = frequencies("spread");
+        let mut found = [0.0_f64; 106];
+        for step in 0..3000 {
+            let (batch, _) = drawn(step, "[batch]\nclips = 5\nsampling = 'spread'");
+            assert_eq!(batch.target_rows.len(), 25);
+            batch.target_rows.iter().for_each(|&row| found[row] += 1.0 / 3000.0);
+        }
         for (rows, frame_count) in [(0..12, 12.0), (12..15, 3.0), (15..55, 40.0), (76..106, 30.0)] {
             assert!(found[rows].iter().all(|share| (share * frame_count / 5.0 - 1.0).abs() < 0.2));
         }
-    }
-
-    #[test]
-    fn proportional_sampling_draws_every_pose_of_all_clips_equally_often() {
-        let found = frequencies("proportional");
-        assert!(found.iter().all(|share| (share * 106.0 / 25.0 - 1.0).abs() < 0.2), "{found:?}");
     }
 
     #[test]

@@ -13,10 +13,10 @@ use crate::dataset::DatasetDescription;
 use crate::float_model::FloatModel;
 use crate::float_model::activation::ActivationGrid;
 use crate::quantize::effective::effective_model;
+use crate::quantize::frequency_step;
 use crate::quantize::integer_layers::IntegerInput;
 use crate::quantize::layer::InputScale;
 use crate::quantize::split::split_layers;
-use crate::quantize::{default_weights, frequency_step};
 
 /// How a device of one number format stores the numbers of one model.
 #[derive(Clone, Debug)]
@@ -30,17 +30,17 @@ pub struct Device {
 }
 
 impl Device {
-    /// `hidden` is how the hidden layers' activations are stored.
+    /// `weights` is how each layer's weights are stored, `hidden` how the hidden layers' activations are.
     pub fn new(
         format: NumberFormat,
         model: &FloatModel,
-        dataset: &DatasetDescription,
+        weights: Vec<WeightFormat>,
         hidden: Vec<InputScale>,
         code_fraction_bits: u8,
     ) -> Self {
         Self {
             format,
-            weights: default_weights(format, &split_layers(model, dataset)),
+            weights,
             hidden,
             code_fraction_bits,
             frequency_steps: model.frequencies_rad.iter().map(|&w| frequency_step(w)).collect(),

@@ -53,6 +53,7 @@ pub fn resume(start: &Checkpoint, out: &Path) -> Result<Checkpoint> {
     let now = tuning_of(start);
     let facts = [
         ("format", now.format.clone(), then.format.clone()),
+        ("bits of weights", bits(&now.weight_bits), bits(&then.weight_bits)),
         ("hash of RUN", now.parent_hash.clone(), then.parent_hash.clone()),
         ("--seed", now.seed.to_string(), then.seed.to_string()),
         ("--steps", now.step_count.to_string(), then.step_count.to_string()),
@@ -66,4 +67,12 @@ pub fn resume(start: &Checkpoint, out: &Path) -> Result<Checkpoint> {
             Err(Error::bad_input(out, field, now, expected, remedy))
         }
     }
+}
+
+/// As a person reads them.
+fn bits(weight_bits: &[u8]) -> String {
+    if weight_bits.is_empty() {
+        return "the default".to_owned();
+    }
+    weight_bits.iter().map(u8::to_string).collect::<Vec<_>>().join(" ")
 }
