@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use sha2::{Digest, Sha256};
 
+use crate::atomic_file::{self, Overwrite};
 use crate::checkpoint::{Checkpoint, dataset_hash, hexadecimal};
 use crate::classifier::Classifier;
 use crate::clip::ClipSet;
@@ -14,10 +15,11 @@ use crate::commands::inspect_clips::ImportArgs;
 use crate::error::{Error, Result};
 use crate::evaluate::evaluate;
 use crate::evaluate::judge::Judge;
+use crate::evaluate::picture::draw;
 use crate::evaluate::protocol::{ActionShares, Protocol, Start};
 use crate::evaluate::real::RealMotions;
 use crate::evaluate::report::{ClassifierDescription, Evaluation};
-use crate::evaluate::source::{BlobSource, FloatSource, MotionSource};
+use crate::evaluate::source::{BlobSource, ClipCodes, FloatSource, MotionSource};
 
 use crate::hold_out::hold_out;
 use crate::inspect::blob::{load, read_blob};
@@ -65,6 +67,15 @@ pub struct EvaluateArgs {
     /// Column of labels.csv with the classifier's number of each action, where its file has no names.
     #[arg(long, value_name = "COLUMN")]
     pub action_order_column: Option<String>,
+    /// Of a run: decode the clips' own codes instead of new ones, which shows what the decoder alone loses.
+    #[arg(long)]
+    pub replay: bool,
+    /// Also write evaluation.svg and evaluation.json into this folder.
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Replace existing files.
+    #[arg(long)]
+    pub force: bool,
     /// Print JSON.
     #[arg(long)]
     pub json: bool,
@@ -108,7 +119,21 @@ impl EvaluateArgs {
 /// # Errors
 /// Those of reading run, blob, clips and classifier; whatever of them does not fit the others.
 pub fn run(args: &EvaluateArgs) -> Result<()> {
+    let overwrite = Overwrite::from_force(args.force);
+    // Before minutes of work.
+    let files = args
+        .out
+        .as_ref()
+        .map(|out| ["evaluation.svg", "evaluation.json"].map(|name| out.join(name)));
+    files.iter().flatten().try_for_each(|file| atomic_file::check(file, overwrite))?;
     let evaluation = measure(args)?;
+    if let Some(([picture, json], out)) = files.as_ref().zip(args.out.as_ref()) {
+        fs::create_dir_all(out).map_err(Error::io("create", out))?;
+        atomic_file::write(picture, draw(&evaluation).as_bytes(), overwrite)?;
+        let text = serde_json::to_string_pretty(&evaluation).map_err(std::io::Error::from);
+        let text = text.map_err(Error::io("write", json))? + "\n";
+        atomic_file::write(json, text.as_bytes(), overwrite)?;
+    }
     if args.json { print_json(&evaluation) } else { print(&evaluation) }
 }
 
@@ -117,11 +142,22 @@ fn measure(args: &EvaluateArgs) -> Result<Evaluation> {
     if args.source.is_dir() {
         let checkpoint = Checkpoint::load(&args.source)?;
         let data = read_data(args, Some((&args.source, &checkpoint)))?;
+        let (name, hash) = (
+            args.source.display().to_string(),
+            file_hash(&args.source.join(Checkpoint::FILE_NAME))?,
+        );
+        if args.replay {
+            let codes = ClipCodes(&checkpoint);
+            let source = FloatSource::new(&checkpoint, &codes, name, hash)?;
+            return measure_source(args, &source, &data, &classifier);
+        }
         let mixtures = mixture::file::of_checkpoint(&args.source, &checkpoint)?;
-        let file = args.source.join(Checkpoint::FILE_NAME);
-        let name = args.source.display().to_string();
-        let source = FloatSource::new(&checkpoint, &mixtures, name, file_hash(&file)?)?;
+        let source = FloatSource::new(&checkpoint, &mixtures, name, hash)?;
         return measure_source(args, &source, &data, &classifier);
+    }
+    if args.replay {
+        let remedy = "name the run's folder, or leave --replay out";
+        return Err(Error::bad_input(&args.source, "--replay", "of a blob", "a run", remedy));
     }
     let blob = read_blob(&args.source)?;
     let model = load(&args.source, &blob)?;
@@ -233,3 +269,6 @@ fn file_hash(file: &Path) -> Result<String> {
     let bytes = fs::read(file).map_err(Error::io("read", file))?;
     Ok(hexadecimal(&Sha256::digest(bytes)))
 }
+
+#[cfg(test)]
+mod tests;

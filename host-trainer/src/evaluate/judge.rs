@@ -10,6 +10,7 @@ use crate::classifier::{Classifier, HiddenStart};
 use crate::error::{Error, Result};
 
 use super::crop::Crops;
+use super::papers::joints_of_classifier;
 use super::real::RealMotions;
 use super::report::ClassifierDescription;
 
@@ -34,7 +35,8 @@ impl<'a> Judge<'a> {
     /// Checks that the classifier fits. `order` names the actions of its logits where the file does not.
     ///
     /// # Errors
-    /// Another number of joints or of actions than the data's; actions that have no or another name.
+    /// Another number of joints or of actions than the data's; joints in another order, as far as both sides have names;
+    /// actions that have no or another name.
     pub fn new(
         classifier: &'a Classifier,
         description: ClassifierDescription,
@@ -64,6 +66,7 @@ impl<'a> Judge<'a> {
                 "give a classifier of these actions; `host-trainer classify` trains one",
             ));
         }
+        check_joints(&description, data)?;
         let names = classifier.actions().or(order).ok_or_else(|| {
             Error::bad_input(
                 file,
@@ -119,6 +122,26 @@ impl<'a> Judge<'a> {
     }
 }
 
+/// Refuses joints of other names than those of a classifier that is known by its file.
+fn check_joints(description: &ClassifierDescription, data: &RealMotions) -> Result<()> {
+    let Some(expected) = joints_of_classifier(&description.sha256) else { return Ok(()) };
+    let names = data.joints.iter().zip(&expected).enumerate();
+    // Clips of npy files have no names of joints unless the user gives them.
+    let mut named = names.filter(|(index, (name, _))| **name != format!("joint{index:02}"));
+    named.find(|(_, (name, expected))| name != expected).map_or(
+        Ok(()),
+        |(index, (name, expected))| {
+            Err(Error::bad_input(
+                &description.file,
+                format!("joint {index}"),
+                format!("`{name}` in the clips"),
+                format!("`{expected}`, as in the classifier's training"),
+                "bring the joints into its order, or give another classifier",
+            ))
+        },
+    )
+}
+
 fn action_of(name: &str, file: &str, data: &RealMotions) -> Result<usize> {
     data.actions.iter().position(|action| action == name).ok_or_else(|| {
         Error::bad_input(
@@ -129,4 +152,96 @@ fn action_of(name: &str, file: &str, data: &RealMotions) -> Result<usize> {
             "give a classifier of these actions; `host-trainer classify` trains one",
         )
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::evaluate::specimen::{clip_set, write_classifier};
+
+    fn data(actions: &[&str]) -> RealMotions {
+        let counts: Vec<(&str, usize)> = actions.iter().map(|&action| (action, 3)).collect();
+        RealMotions::new(&clip_set(&counts, 20), None).unwrap()
+    }
+
+    fn classifier(channel_count: usize, action_count: usize, names: Option<&[&str]>) -> Classifier {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("classifier.safetensors");
+        write_classifier(&file, channel_count, action_count, names);
+        Classifier::load(&file).unwrap()
+    }
+
+    fn description(sha256: &str) -> ClassifierDescription {
+        ClassifierDescription { file: "judge".to_owned(), sha256: sha256.to_owned() }
+    }
+
+    fn refusal(classifier: &Classifier, data: &RealMotions, order: Option<&[String]>) -> String {
+        let judge = Judge::new(classifier, description("00"), data, order);
+        judge.err().expect("a refusal").to_string()
+    }
+
+    #[test]
+    fn classifier_of_other_joints_is_refused() {
+        let message =
+            refusal(&classifier(72, 2, Some(&["bow", "nod"])), &data(&["bow", "nod"]), None);
+        assert!(message.contains("inputs is 72 (joints times 3), expected 9"), "{message}");
+    }
+
+    #[test]
+    fn classifier_of_more_or_fewer_actions_is_refused() {
+        for names in [&["bow"][..], &["bow", "nod", "wave"]] {
+            let classifier = classifier(9, names.len(), Some(names));
+            let message = refusal(&classifier, &data(&["bow", "nod"]), None);
+            assert!(message.contains("expected 2, as the clips: bow, nod"), "{message}");
+        }
+    }
+
+    #[test]
+    fn classifier_of_other_actions_is_refused() {
+        let message =
+            refusal(&classifier(9, 2, Some(&["bow", "run"])), &data(&["bow", "nod"]), None);
+        assert!(message.contains("`run`, expected one of the clips': bow, nod"), "{message}");
+        let message =
+            refusal(&classifier(9, 2, Some(&["bow", "bow"])), &data(&["bow", "nod"]), None);
+        assert!(message.contains("without `nod`"), "{message}");
+    }
+
+    #[test]
+    fn classifier_without_names_needs_an_order() {
+        let (classifier, data) = (classifier(9, 2, None), data(&["bow", "nod"]));
+        assert!(refusal(&classifier, &data, None).contains("--action-order-column"));
+        let order = ["nod", "bow"].map(str::to_owned);
+        let judge = Judge::new(&classifier, description("00"), &data, Some(&order)).unwrap();
+        assert_eq!(judge.actions, [1, 0]);
+    }
+
+    #[test]
+    fn joints_in_another_order_than_a_known_classifier_are_refused() {
+        let mut data = data(&["bow", "nod"]);
+        let description = description(crate::evaluate::papers::HUMANACT12_CLASSIFIER);
+        data.joints = crate::body::skeleton::Skeleton::smpl24().names;
+        check_joints(&description, &data).unwrap();
+        data.joints.swap(4, 5);
+        let message = check_joints(&description, &data).unwrap_err().to_string();
+        assert!(message.contains("joint 4 is `right_knee` in the clips"), "{message}");
+        data.joints = (0..24).map(|index| format!("joint{index:02}")).collect();
+        check_joints(&description, &data).unwrap();
+    }
+
+    #[test]
+    fn verdict_is_in_the_order_of_the_data() {
+        let (classifier, data) = (classifier(9, 2, Some(&["nod", "bow"])), data(&["bow", "nod"]));
+        let judge = Judge::new(&classifier, description("00"), &data, None).unwrap();
+        let mut crops = Crops::new(20, 9);
+        for clip in &data.training {
+            let window = crate::evaluate::crop::Window { first: 0, count: 20 };
+            crops.push(window, &clip.positions[..20 * 9]);
+        }
+        let scores = classifier.score(&crops.positions, 20, HiddenStart::Zeros);
+        let verdict = judge.score(&crops, HiddenStart::Zeros);
+        for (logits, action) in scores.logits.chunks(2).zip(verdict.actions) {
+            // The second logit is `bow`, which comes first in the data.
+            assert_eq!(action, usize::from(logits[0] > logits[1]));
+        }
+    }
 }

@@ -6,6 +6,8 @@
 use serde::Serialize;
 
 use super::estimate::Estimate;
+use super::nearest_clip::Quantiles;
+use super::papers::PaperRow;
 use super::protocol::Protocol;
 use super::source::SourceDescription;
 
@@ -25,6 +27,10 @@ pub struct Evaluation {
     pub generated: Figures,
     /// Of real motions: the training clips again, in other windows.
     pub real: Figures,
+    /// How far motions are from the training clip that they are most like; see `nearest_clip`.
+    pub nearest_training_clip_mm: NearestTrainingClip,
+    /// Published rows of the same measurement; empty where there are none, see the remarks.
+    pub papers: Vec<PaperRow>,
     /// What a reader has to know about these figures, in sentences.
     pub remarks: Vec<String>,
 }
@@ -50,6 +56,17 @@ pub struct Figures {
     pub apd_normalized: Estimate,
     /// Accuracy of each action's motions, in the order of the data's actions.
     pub accuracy_by_action: Vec<ActionAccuracy>,
+}
+
+/// Distances to the nearest training clip over all repetitions, millimetres.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct NearestTrainingClip {
+    /// Of generated motions.
+    pub generated: Option<Quantiles>,
+    /// Of held-out clips: what an honest motion looks like. `None` where nothing was held out.
+    pub held_out: Option<Quantiles>,
+    /// Of training clips to the nearest of the others.
+    pub training: Option<Quantiles>,
 }
 
 /// Accuracy of one action.

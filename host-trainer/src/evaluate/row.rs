@@ -1,7 +1,7 @@
-//! One row, repetition by repetition: from crops and their verdict to figures.
+//! One row, repetition by repetition: from scored motions to figures.
 //!
-//! In:  what a judge makes of one set of motions, and the real scores that it is compared with.
-//! Out: [`RowValues`], whose means over the repetitions are [`Figures`].
+//! In:  [`Scored`] motions of one role, and the real side that they are compared with.
+//! Out: [`Row`], whose means over the repetitions are [`Figures`].
 
 use rand::Rng;
 
@@ -44,7 +44,7 @@ impl Scored {
     }
 }
 
-/// The real side of one repetition, that others are compared with.
+/// The real motions of one repetition, that others are compared with.
 #[derive(Clone, Debug)]
 pub(super) struct RealScores {
     /// Training clips.
@@ -69,16 +69,16 @@ struct Values {
 
 /// Figures of one row in all repetitions so far.
 #[derive(Clone, Debug, Default)]
-pub(super) struct RowValues(Vec<Values>);
+pub(super) struct Row(Vec<Values>);
 
-impl RowValues {
+impl Row {
     /// Adds one repetition.
-    pub fn push<R: Rng + ?Sized>(
+    pub fn push(
         &mut self,
         motions: &Scored,
         real: &RealScores,
         feature_count: usize,
-        rng: &mut R,
+        rng: &mut impl Rng,
     ) {
         let (features, actions) = (&motions.verdict.features, &motions.actions);
         let action_count = real.training.pairwise.len();
@@ -132,7 +132,8 @@ fn share(right: impl IntoIterator<Item = (usize, usize)>) -> f64 {
     right as f64 / all as f64
 }
 
+/// 0 of nothing: where no action has two motions there are no pairs.
 fn mean(values: impl Iterator<Item = f64>) -> f64 {
     let (sum, count) = values.fold((0.0, 0), |(sum, count), value| (sum + value, count + 1));
-    sum / f64::from(count)
+    sum / f64::from(count.max(1))
 }

@@ -14,7 +14,7 @@ use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
 
 pub use blob::BlobSource;
-pub use float::FloatSource;
+pub use float::{ClipCodes, FloatSource};
 
 use super::crop::Window;
 use crate::error::Result;

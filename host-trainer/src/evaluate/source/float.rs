@@ -4,6 +4,7 @@
 //! Out: joint positions, to `evaluate`.
 
 use rand::SeedableRng;
+use rand::seq::IteratorRandom;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
@@ -16,6 +17,39 @@ use crate::float_model::{Rows, Workspace};
 
 /// Motions that go through the decoder together: enough to share the moments' half of layer 1.
 const MOTIONS_PER_BATCH: usize = 64;
+
+/// The clips' own codes, without noise: what the decoder can do when nothing is lost to the sampler. Not new motions.
+///
+/// Source: the "upper limit" of Cervantes et al., ECCV 2022.
+pub struct ClipCodes<'a>(pub &'a Checkpoint);
+
+impl CodeSampler for ClipCodes<'_> {
+    fn name(&self) -> String {
+        "the clips' own codes, replayed".to_owned()
+    }
+
+    fn sample(
+        &self,
+        action: usize,
+        frame_count: usize,
+        random: &mut ChaCha8Rng,
+    ) -> Result<Vec<f32>> {
+        let clips = self.0.dataset.clips.iter().enumerate();
+        let fits =
+            clips.filter(|(_, clip)| (clip.action, clip.frame_count) == (action, frame_count));
+        let row = fits.map(|(row, _)| row).choose(random).ok_or_else(|| {
+            let value = format!("{frame_count} frames");
+            Error::bad_input(
+                "run",
+                "codes",
+                value,
+                "a length that a clip of the action has",
+                "sample",
+            )
+        })?;
+        Ok(self.0.sequence_codes.mean_of(row).to_vec())
+    }
+}
 
 /// The float decoder with a sampler.
 pub struct FloatSource<'a> {

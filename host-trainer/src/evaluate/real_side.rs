@@ -1,0 +1,127 @@
+//! Everything about real motions that rows of generated ones are compared with: measured once, used by every row.
+//!
+//! In:  the data, a judge, a protocol.
+//! Out: [`RealSide`], to `evaluate`.
+
+use super::crop::Crops;
+use super::frechet::motions_min;
+use super::judge::Judge;
+use super::nearest_clip::{Quantiles, TrainingClips};
+use super::protocol::{Protocol, Role};
+use super::real::RealMotions;
+use super::report::{DataDescription, Figures, NearestTrainingClip};
+use super::roster::{Chosen, Roster};
+use super::row::{RealScores, Row, Scored};
+use crate::error::Result;
+use crate::train::{BAR_LENGTH, Progress, progress_bar};
+
+/// Real motions, scored in every repetition.
+pub struct RealSide<'a> {
+    pub(super) data: &'a RealMotions,
+    pub(super) judge: &'a Judge<'a>,
+    pub(super) protocol: &'a Protocol,
+    pub(super) roster: Roster<'a>,
+    pub(super) clips: TrainingClips,
+    /// // (repetition)
+    pub(super) scores: Vec<RealScores>,
+    pub(super) figures: Figures,
+    pub(super) nearest: NearestTrainingClip,
+    pub(super) remarks: Vec<String>,
+}
+
+impl<'a> RealSide<'a> {
+    /// Scores training clips, the same clips in other windows, and held-out clips.
+    ///
+    /// # Errors
+    /// `BadInput`: an action without training clips; fewer training clips than a metric needs.
+    pub fn measure(
+        data: &'a RealMotions,
+        judge: &'a Judge<'a>,
+        protocol: &'a Protocol,
+        progress: Progress,
+    ) -> Result<Self> {
+        let roster = Roster::new(data, protocol)?;
+        let clips = TrainingClips::new(&data.training, data.joints.len());
+        let why_not_held_out = why_not_held_out(data, judge, &roster);
+        let bar = progress_bar(progress);
+        bar.set_message("real motions");
+        let mut row = Row::default();
+        let (mut scores, mut held_out_mm, mut training_mm) = (Vec::new(), Vec::new(), Vec::new());
+        for repetition in 0..protocol.repetitions {
+            let score = |role| score_real(&roster, judge, protocol, data, role, repetition);
+            let (_, _, training) = score(Role::Real)?;
+            let mut real = RealScores { training, held_out: None };
+            if why_not_held_out.is_none() {
+                let (chosen, crops, held_out) = score(Role::HeldOut)?;
+                held_out_mm.extend(clips.nearest_mm(&crops, &chosen.actions(), |_| None));
+                real.held_out = Some(held_out.gaussian);
+            }
+            let (chosen, crops, again) = score(Role::RealAgain)?;
+            let own = |motion: usize| Some(chosen.indices[motion]);
+            training_mm.extend(clips.nearest_mm(&crops, &chosen.actions(), own));
+            let mut pairs = roster.pair_stream(Role::RealAgain, repetition);
+            row.push(&again, &real, judge.feature_count(), &mut pairs);
+            scores.push(real);
+            bar.set_position((repetition + 1) as u64 * BAR_LENGTH / protocol.repetitions as u64);
+        }
+        bar.finish_and_clear();
+        Ok(Self {
+            figures: row.figures(&data.actions),
+            nearest: NearestTrainingClip {
+                generated: None,
+                held_out: Quantiles::of(held_out_mm),
+                training: Quantiles::of(training_mm),
+            },
+            remarks: why_not_held_out.into_iter().collect(),
+            data,
+            judge,
+            protocol,
+            roster,
+            clips,
+            scores,
+        })
+    }
+
+    /// The clips, for the report.
+    pub(super) fn description(&self) -> DataDescription {
+        DataDescription {
+            training_clip_count: self.data.training.len(),
+            held_out_clip_count: self.data.held_out.len(),
+            actions: self.data.actions.clone(),
+            joint_count: self.data.joints.len(),
+            rate_hz: self.data.rate_hz,
+        }
+    }
+}
+
+fn score_real<'a>(
+    roster: &Roster<'a>,
+    judge: &Judge<'_>,
+    protocol: &Protocol,
+    data: &RealMotions,
+    role: Role,
+    repetition: usize,
+) -> Result<(Chosen<'a>, Crops, Scored)> {
+    let chosen = roster.choose(role, repetition);
+    let crops = chosen.real_crops(protocol.frames, data.channel_count());
+    let verdict = judge.score(&crops, protocol.hidden_start(role, repetition));
+    let counts = [judge.feature_count(), data.actions.len()];
+    let of = if role == Role::HeldOut { "held-out clips" } else { "training clips" };
+    let scored = Scored::new(&crops, chosen.actions(), verdict, counts, of)?;
+    Ok((chosen, crops, scored))
+}
+
+/// Why there is no FID against held-out clips; `None` if there is one.
+fn why_not_held_out(data: &RealMotions, judge: &Judge<'_>, roster: &Roster<'_>) -> Option<String> {
+    let count = data.held_out.len();
+    let needed = motions_min(judge.feature_count());
+    let reason = match roster.missing_action(Role::HeldOut) {
+        _ if count == 0 => "no clip was held out of the training, so these figures cannot tell memory from realism; \
+             train with hold_out = 0.2 to know (for a blob give --run)"
+            .to_owned(),
+        _ if count < needed => format!("{count} clips were held out, {needed} are needed"),
+        Some(action) => format!("no clip of `{}` was held out", data.actions[action]),
+        None => return None,
+    };
+    Some(format!("no held-out FID: {reason}"))
+}
