@@ -28,6 +28,7 @@ pub mod picture;
 #[cfg(test)]
 pub mod specimen;
 
+use crate::classifier::example::Input;
 use crate::error::{Error, Result};
 use crate::train::{BAR_LENGTH, Progress, progress_bar};
 use crop::Crops;
@@ -77,7 +78,9 @@ pub fn evaluate_beside(
         let (crops, motions) = score_generated(source, &source_actions, real, repetition)?;
         let mut pairs = real.roster.pair_stream(Role::Generated, repetition);
         row.push(&motions, scores, real.judge.feature_count(), &mut pairs);
-        nearest_mm.extend(real.clips.nearest_mm(&crops, &motions.actions, |_| None));
+        if let Some(clips) = &real.clips {
+            nearest_mm.extend(clips.nearest_mm(&crops, &motions.actions, |_| None));
+        }
         bar.set_position((repetition + 1) as u64 * BAR_LENGTH / repetitions as u64);
     }
     bar.finish_and_clear();
@@ -118,8 +121,8 @@ fn score_generated(
             seed,
         })
         .collect();
-    let mut crops = Crops::new(real.protocol.frames, real.data.channel_count());
-    for (request, poses) in requests.iter().zip(source.joint_positions(&requests)?) {
+    let mut crops = Crops::new(real.protocol.frames, real.data.channel_count(), real.data.input);
+    for (request, poses) in requests.iter().zip(source.poses(&requests)?) {
         crops.push(request.window, &poses);
     }
     let start = real.protocol.hidden_start(Role::Generated, repetition);
@@ -136,9 +139,13 @@ fn check_source(source: &dyn MotionSource, data: &RealMotions) -> Result<Vec<usi
         let remedy = "give the clips that it was made of, read by the same flags";
         Error::bad_input(&name, field, value, expected, remedy)
     };
-    if source.joint_count() != data.joints.len() {
-        let expected = format!("{}, as the clips have", data.joints.len());
-        return Err(refused("joints", source.joint_count().to_string(), expected));
+    if (source.input(), source.channel_count()) != (data.input, data.channel_count()) {
+        let of = |input, channel_count| match input {
+            Input::Joints => format!("{} joints", channel_count / 3),
+            Input::Channels => format!("{channel_count} channels"),
+        };
+        let expected = format!("{}, as the clips have", of(data.input, data.channel_count()));
+        return Err(refused("poses", of(source.input(), source.channel_count()), expected));
     }
     if (source.rate_hz() - data.rate_hz).abs() > 1e-3 {
         let expected = format!("{} Hz, as the clips have", data.rate_hz);

@@ -188,7 +188,10 @@ fn measure_source(
 }
 
 /// The clips, split as for the run's training; all on one side without a run.
-fn read_data(args: &EvaluateArgs, run: Option<(&Path, &Checkpoint)>) -> Result<RealMotions> {
+///
+/// # Errors
+/// Those of reading clips; a dataset that is not the run's.
+pub fn read_data(args: &EvaluateArgs, run: Option<(&Path, &Checkpoint)>) -> Result<RealMotions> {
     let (clip_set, skeleton) = read_clip_set(&args.data, &args.import)?;
     let mut clip_set_on_skeleton = clip_set.clone();
     if skeleton.is_some() {
@@ -231,7 +234,10 @@ fn check_same_run(
 }
 
 /// Names of the actions in the order of their numbers in another column of the labels.
-fn read_order(args: &EvaluateArgs, column: &str) -> Result<Vec<String>> {
+///
+/// # Errors
+/// A column that does not number the actions from 0.
+pub fn read_order(args: &EvaluateArgs, column: &str) -> Result<Vec<String>> {
     let (names, _) = read_clip_set(&args.data, &args.import)?;
     let by_number = ImportArgs {
         label_action_column: Some(column.to_owned()),
@@ -265,7 +271,11 @@ fn order_of(names: &ClipSet, numbers: &ClipSet, column: &str) -> Result<Vec<Stri
     Ok(order.into_values().map(str::to_owned).collect())
 }
 
-fn file_hash(file: &Path) -> Result<String> {
+/// SHA-256 of a file, hexadecimal.
+///
+/// # Errors
+/// A file that cannot be read.
+pub fn file_hash(file: &Path) -> Result<String> {
     let bytes = fs::read(file).map_err(Error::io("read", file))?;
     Ok(hexadecimal(&Sha256::digest(bytes)))
 }

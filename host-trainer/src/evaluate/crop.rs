@@ -11,6 +11,8 @@
 
 use rand::{Rng, RngExt};
 
+use crate::classifier::example::Input;
+
 /// The frames of a motion that are kept.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Window {
@@ -34,14 +36,16 @@ impl Window {
     }
 }
 
-/// Motions of equally many poses, each minus its first root.
+/// Motions of equally many poses; of bodies each minus its first root.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Crops {
     /// Poses of every crop.
     pub frame_count: usize,
     /// Numbers of a pose: joints times 3.
     pub channel_count: usize,
-    /// Joints' x, y and z in metres. // (motion, frame, channel)
+    /// Whether the first three numbers of a pose are a root that crops start at.
+    pub input: Input,
+    /// Joints' x, y and z in metres, or channels. // (motion, frame, channel)
     pub positions: Vec<f32>,
     /// Where each was taken; poses beyond `count` repeat the last. // (motion)
     pub windows: Vec<Window>,
@@ -49,20 +53,22 @@ pub struct Crops {
 
 impl Crops {
     /// No motions yet.
-    pub fn new(frame_count: usize, channel_count: usize) -> Self {
-        Self { frame_count, channel_count, positions: Vec::new(), windows: Vec::new() }
+    pub fn new(frame_count: usize, channel_count: usize, input: Input) -> Self {
+        Self { frame_count, channel_count, input, positions: Vec::new(), windows: Vec::new() }
     }
 
     /// Appends the poses of a window, at least one; the root is joint 0. // poses: (frame of the window, channel)
     pub fn push(&mut self, window: Window, poses: &[f32]) {
-        let Some(root) = poses.first_chunk::<3>().copied() else { return };
+        if poses.is_empty() {
+            return;
+        }
+        let root: &[f32] = match self.input {
+            Input::Joints => &poses[..3],
+            Input::Channels => &[0.0],
+        };
         let start = self.positions.len();
-        self.positions.extend(
-            poses
-                .iter()
-                .enumerate()
-                .map(|(index, value)| value - root[index % self.channel_count % 3]),
-        );
+        self.positions
+            .extend(poses.iter().zip(root.iter().cycle()).map(|(value, root)| value - root));
         let end = start + self.frame_count * self.channel_count;
         while self.positions.len() < end {
             let last = self.positions.len() - self.channel_count;
@@ -97,7 +103,7 @@ mod tests {
 
     #[test]
     fn short_motion_is_whole_and_repeats_its_last_pose() {
-        let mut crops = Crops::new(4, 6);
+        let mut crops = Crops::new(4, 6, Input::Joints);
         let window = Window::draw(2, 4, &mut ChaCha8Rng::seed_from_u64(1));
         assert_eq!(window, Window { first: 0, count: 2 });
         let poses = [1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 2.0, 2.0, 3.0, 9.0, 9.0, 9.0];
@@ -105,6 +111,13 @@ mod tests {
         let first = [0.0, 0.0, 0.0, 3.0, 4.0, 5.0];
         let last = [1.0, 0.0, 0.0, 8.0, 7.0, 6.0];
         assert_eq!(crops.motion(0), [first, last, last, last].concat());
+    }
+
+    #[test]
+    fn servos_keep_their_angles() {
+        let mut crops = Crops::new(2, 2, Input::Channels);
+        crops.push(Window { first: 0, count: 2 }, &[5.0, 6.0, 7.0, 8.0]);
+        assert_eq!(crops.motion(0), [5.0, 6.0, 7.0, 8.0]);
     }
 
     #[test]
@@ -131,7 +144,7 @@ mod tests {
             prop_assert!(window.first + window.count <= motion_frame_count);
             let value = |index: usize| (index as f32 * 0.7).sin() + offset;
             let poses: Vec<f32> = (0..window.count * 6).map(value).collect();
-            let mut crops = Crops::new(30, 6);
+            let mut crops = Crops::new(30, 6, Input::Joints);
             crops.push(window, &poses);
             prop_assert_eq!(crops.positions.len(), 30 * 6);
             prop_assert_eq!(&crops.motion(0)[..3], &[0.0; 3]);

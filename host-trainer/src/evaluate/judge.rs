@@ -6,6 +6,7 @@
 //! Why here: a classifier that was trained on other joints or actions gives figures too, and nothing in them looks
 //! wrong. So what does not fit is refused before anything is measured.
 
+use crate::classifier::example::Input;
 use crate::classifier::{Classifier, HiddenStart};
 use crate::error::{Error, Result};
 
@@ -45,16 +46,20 @@ impl<'a> Judge<'a> {
     ) -> Result<Self> {
         let file = &description.file;
         if classifier.channel_count() != data.channel_count() {
-            return Err(Error::bad_input(
-                file,
-                "inputs",
-                format!("{} (joints times 3)", classifier.channel_count()),
-                format!(
-                    "{}, for the {} joints of the clips",
+            let expected = match data.input {
+                Input::Joints => format!(
+                    "{}, three for each of {} joints",
                     data.channel_count(),
                     data.joints.len()
                 ),
-                "give a classifier of these joints; `host-trainer classify` trains one",
+                Input::Channels => format!("{}, one a channel", data.channel_count()),
+            };
+            return Err(Error::bad_input(
+                file,
+                "inputs of a pose",
+                classifier.channel_count(),
+                expected,
+                "give a classifier of these clips; `host-trainer classify` trains one",
             ));
         }
         if classifier.action_count() != data.actions.len() {
@@ -66,7 +71,7 @@ impl<'a> Judge<'a> {
                 "give a classifier of these actions; `host-trainer classify` trains one",
             ));
         }
-        check_joints(&description, data)?;
+        check_joints(classifier, &description, data)?;
         let names = classifier.actions().or(order).ok_or_else(|| {
             Error::bad_input(
                 file,
@@ -96,6 +101,16 @@ impl<'a> Judge<'a> {
         })
     }
 
+    /// Refuses another length than the classifier was trained on, where its file says it.
+    pub(super) fn check_frames(&self, frames: usize) -> Result<()> {
+        let own = self.classifier.description().map(|own| own.settings.frames);
+        own.filter(|own| *own != frames).map_or(Ok(()), |own| {
+            let remedy = format!("evaluate with --frames {own}");
+            let expected = format!("{own}, as in the classifier's training");
+            Err(Error::bad_input(&self.description.file, "frames", frames, expected, remedy))
+        })
+    }
+
     /// Numbers of a feature vector.
     pub fn feature_count(&self) -> usize {
         self.classifier.feature_count()
@@ -122,24 +137,38 @@ impl<'a> Judge<'a> {
     }
 }
 
-/// Refuses joints of other names than those of a classifier that is known by its file.
-fn check_joints(description: &ClassifierDescription, data: &RealMotions) -> Result<()> {
-    let Some(expected) = joints_of_classifier(&description.sha256) else { return Ok(()) };
-    let names = data.joints.iter().zip(&expected).enumerate();
-    // Clips of npy files have no names of joints unless the user gives them.
-    let mut named = names.filter(|(index, (name, _))| **name != format!("joint{index:02}"));
-    named.find(|(_, (name, expected))| name != expected).map_or(
-        Ok(()),
-        |(index, (name, expected))| {
-            Err(Error::bad_input(
-                &description.file,
-                format!("joint {index}"),
-                format!("`{name}` in the clips"),
-                format!("`{expected}`, as in the classifier's training"),
-                "bring the joints into its order, or give another classifier",
-            ))
-        },
-    )
+/// Refuses joints or channels of other names or another rate than those that the classifier was trained on, as far as
+/// its file names them or it is one that is known.
+fn check_joints(
+    classifier: &Classifier,
+    description: &ClassifierDescription,
+    data: &RealMotions,
+) -> Result<()> {
+    let refused = |field: String, value: String, expected: String| {
+        let expected = format!("{expected}, as in the classifier's training");
+        let remedy = "bring the clips into its form, or give a classifier of these clips";
+        Err(Error::bad_input(&description.file, field, value, expected, remedy))
+    };
+    let own = classifier.description();
+    if let Some(own) = own.filter(|own| own.input != data.input) {
+        let (found, expected) = (format!("{:?}", data.input), format!("{:?}", own.input));
+        return refused("input".to_owned(), found, expected);
+    }
+    if let Some(own) = own.filter(|own| (own.rate_hz - data.rate_hz).abs() > 1e-3) {
+        let (found, expected) = (format!("{} Hz", data.rate_hz), format!("{} Hz", own.rate_hz));
+        return refused("rate of the clips".to_owned(), found, expected);
+    }
+    let known = joints_of_classifier(&description.sha256);
+    let Some(expected) = own.map(|own| own.names.clone()).or(known) else { return Ok(()) };
+    // Joints of npy files have no names unless the user gives them.
+    let is_named = |index: usize, name: &str| name != format!("joint{index:02}");
+    for (index, (name, expected)) in data.joints.iter().zip(&expected).enumerate() {
+        if name != expected && is_named(index, name) && is_named(index, expected) {
+            let (found, expected) = (format!("`{name}` in the clips"), format!("`{expected}`"));
+            return refused(format!("joint {index}"), found, expected);
+        }
+    }
+    Ok(())
 }
 
 fn action_of(name: &str, file: &str, data: &RealMotions) -> Result<usize> {
@@ -157,6 +186,10 @@ fn action_of(name: &str, file: &str, data: &RealMotions) -> Result<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::classifier::Description;
+    use crate::classifier::example::Examples;
+    use crate::classifier::example::Input;
+    use crate::classifier::train::Settings;
     use crate::evaluate::specimen::{clip_set, write_classifier};
 
     fn data(actions: &[&str]) -> RealMotions {
@@ -184,7 +217,10 @@ mod tests {
     fn classifier_of_other_joints_is_refused() {
         let message =
             refusal(&classifier(72, 2, Some(&["bow", "nod"])), &data(&["bow", "nod"]), None);
-        assert!(message.contains("inputs is 72 (joints times 3), expected 9"), "{message}");
+        assert!(
+            message.contains("inputs of a pose is 72, expected 9, three for each of 3 joints"),
+            "{message}"
+        );
     }
 
     #[test]
@@ -217,22 +253,50 @@ mod tests {
 
     #[test]
     fn joints_in_another_order_than_a_known_classifier_are_refused() {
-        let mut data = data(&["bow", "nod"]);
+        let (mut data, classifier) = (data(&["bow", "nod"]), classifier(9, 2, None));
         let description = description(crate::evaluate::papers::HUMANACT12_CLASSIFIER);
         data.joints = crate::body::skeleton::Skeleton::smpl24().names;
-        check_joints(&description, &data).unwrap();
+        check_joints(&classifier, &description, &data).unwrap();
         data.joints.swap(4, 5);
-        let message = check_joints(&description, &data).unwrap_err().to_string();
+        let message = check_joints(&classifier, &description, &data).unwrap_err().to_string();
         assert!(message.contains("joint 4 is `right_knee` in the clips"), "{message}");
         data.joints = (0..24).map(|index| format!("joint{index:02}")).collect();
-        check_joints(&description, &data).unwrap();
+        check_joints(&classifier, &description, &data).unwrap();
+    }
+
+    #[test]
+    fn clips_of_another_form_than_a_described_classifiers_are_refused() {
+        let data = data(&["bow", "nod"]);
+        let examples = Examples::new(&clip_set(&[("bow", 3), ("nod", 3)], 20), None).unwrap();
+        let described = |rate_hz: f64, names: [&str; 3]| {
+            classifier(9, 2, Some(&["bow", "nod"])).with_description(Description {
+                input: examples.input,
+                names: names.map(str::to_owned).to_vec(),
+                rate_hz,
+                settings: Settings { frames: 30, ..Settings::default() },
+                config_hash: String::new(),
+                data_hash: String::new(),
+                training_clip_count: 6,
+                held_out: Vec::new(),
+                training_accuracy: 1.0,
+                held_out_accuracy: None,
+            })
+        };
+        let names = ["hip", "knee", "toe"];
+        assert!(refusal(&described(50.0, names), &data, None).contains("20 Hz, expected 50 Hz"));
+        let message = refusal(&described(20.0, ["hip", "toe", "knee"]), &data, None);
+        assert!(message.contains("joint 1 is `knee` in the clips, expected `toe`"), "{message}");
+        let classifier = described(20.0, names);
+        let judge = Judge::new(&classifier, description("00"), &data, None).unwrap();
+        judge.check_frames(30).unwrap();
+        assert!(judge.check_frames(60).unwrap_err().to_string().contains("--frames 30"));
     }
 
     #[test]
     fn verdict_is_in_the_order_of_the_data() {
         let (classifier, data) = (classifier(9, 2, Some(&["nod", "bow"])), data(&["bow", "nod"]));
         let judge = Judge::new(&classifier, description("00"), &data, None).unwrap();
-        let mut crops = Crops::new(20, 9);
+        let mut crops = Crops::new(20, 9, Input::Joints);
         for clip in &data.training {
             let window = crate::evaluate::crop::Window { first: 0, count: 20 };
             crops.push(window, &clip.positions[..20 * 9]);

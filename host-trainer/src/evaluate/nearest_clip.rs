@@ -176,6 +176,7 @@ impl Quantiles {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::classifier::example::Input;
     use crate::evaluate::crop::Window;
     use crate::evaluate::real::RealMotions;
     use crate::evaluate::specimen::clip_set;
@@ -185,7 +186,7 @@ mod tests {
     }
 
     fn crops_of(real: &RealMotions, first: usize, frame_count: usize) -> Crops {
-        let mut crops = Crops::new(frame_count, 9);
+        let mut crops = Crops::new(frame_count, 9, Input::Joints);
         for clip in &real.training {
             let count = frame_count.min(clip.frame_count - first);
             let window = Window { first, count };

@@ -192,9 +192,11 @@ fn rows_of_cmu(protocol: &Protocol) -> Result<Vec<PaperRow>, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::classifier::example::Input;
 
     fn data(actions: &[&str], joint_count: usize, training_clip_count: usize) -> DataDescription {
         DataDescription {
+            input: Input::Joints,
             training_clip_count,
             held_out_clip_count: 0,
             actions: actions.iter().map(|action| (*action).to_owned()).collect(),

@@ -1,4 +1,4 @@
-//! Recorded motions as a classifier and a ruler see them: joint positions in metres.
+//! Recorded motions as a classifier and a ruler see them: of bodies joint positions in metres, else the channels.
 //!
 //! In:  the clips as they were imported, before any representation.
 //! Out: [`RealMotions`], what generated motions are measured against.
@@ -6,11 +6,11 @@
 //! Why here: real clips are measured on their own positions. Taken through a representation, its error would be theirs
 //! too, and the distance to them would come out too small.
 
-use std::path::Path;
-
 use rayon::prelude::*;
 
 use crate::body::Body;
+use crate::body::skeleton::Skeleton;
+use crate::classifier::example::Input;
 use crate::clip::{Clip, ClipSet};
 use crate::error::{Error, Result};
 use crate::layout::{GroupKind, PoseLayout, Unit};
@@ -18,9 +18,12 @@ use crate::layout::{GroupKind, PoseLayout, Unit};
 /// Clips of both sides of the split.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RealMotions {
+    /// What a pose is.
+    pub input: Input,
     /// Names of the actions, sorted.
     pub actions: Vec<String>,
-    /// Names of the joints, the root first; their own groups' where the clips name no skeleton.
+    /// Names of the joints, the root first, or of the channels; joints are named by their groups where the clips name no
+    /// skeleton.
     pub joints: Vec<String>,
     /// Poses per second.
     pub rate_hz: f64,
@@ -37,37 +40,33 @@ pub struct RealMotion {
     pub name: String,
     /// Index into the actions.
     pub action: usize,
-    /// Joints' x, y and z in metres, at least one pose. // (frame, joint · 3)
+    /// Of a body the joints' x, y and z in metres, else the channels; at least one pose. // (frame, channel)
     pub positions: Vec<f32>,
     /// Number of poses.
     pub frame_count: usize,
 }
 
 impl RealMotions {
-    /// Reads joint positions out of clips; `held_out` has the layout of `training`.
+    /// Reads what a classifier sees out of clips; `held_out` has the layout of `training`.
     ///
     /// # Errors
-    /// Clips that are not a body, or have no pose; a held-out clip of an action that no training clip shows.
+    /// A clip without poses; a held-out clip of an action that no training clip shows.
     pub fn new(training: &ClipSet, held_out: Option<&ClipSet>) -> Result<Self> {
-        let source = training.clips.first().map_or(Path::new("clips"), |clip| &clip.source);
         let layout = &training.layout;
-        let body = Body::new(layout, training.skeleton.as_ref()).ok_or_else(|| {
-            let kinds: Vec<&str> = layout.groups.iter().map(|group| group.kind.name()).collect();
-            let expected = "joint positions, or rotations of a skeleton's joints";
-            let remedy = "only bodies can be evaluated: the classifier sees joints";
-            Error::bad_input(source, "channel groups", kinds.join(" "), expected, remedy)
-        })?;
+        let reader = PoseReader::new(layout, training.skeleton.as_ref());
         let mut actions: Vec<String> =
             training.clips.iter().map(|clip| clip.action.clone()).collect();
         actions.sort();
         actions.dedup();
-        let read = |clip: &Clip| read_clip(clip, layout, &body, &actions);
+        let read = |clip: &Clip| read_clip(clip, layout, &reader, &actions);
         let read_all = |clips: &[Clip]| clips.par_iter().map(read).collect::<Result<Vec<_>>>();
-        let joints = match &training.skeleton {
-            Some(skeleton) => skeleton.names.clone(),
-            None => layout.groups.iter().map(|group| group.name.clone()).collect(),
+        let joints = match (reader.input(), &training.skeleton) {
+            (Input::Channels, _) => layout.channel_names(),
+            (Input::Joints, Some(skeleton)) => skeleton.names.clone(),
+            (Input::Joints, None) => layout.groups.iter().map(|group| group.name.clone()).collect(),
         };
         Ok(Self {
+            input: reader.input(),
             joints,
             rate_hz: training.rate_hz,
             held_out: read_all(held_out.map_or(&[], |clip_set| &clip_set.clips))?,
@@ -78,14 +77,17 @@ impl RealMotions {
 
     /// Numbers of a pose.
     pub fn channel_count(&self) -> usize {
-        self.joints.len() * 3
+        match self.input {
+            Input::Joints => self.joints.len() * 3,
+            Input::Channels => self.joints.len(),
+        }
     }
 }
 
 fn read_clip(
     clip: &Clip,
     layout: &PoseLayout,
-    body: &Body,
+    reader: &PoseReader,
     actions: &[String],
 ) -> Result<RealMotion> {
     let refused = |field: &str, value: &str, expected: &str| {
@@ -98,10 +100,46 @@ fn read_clip(
     if frame_count == 0 {
         return Err(refused("frames", "0", "at least 1"));
     }
-    let metres = metres_of(layout);
-    let poses = clip.poses.chunks_exact(layout.channel_count());
-    let positions = poses.flat_map(|pose| positions_of(body, pose, metres)).collect();
+    let mut positions = Vec::with_capacity(frame_count * reader.channel_count());
+    for pose in clip.poses.chunks_exact(layout.channel_count()) {
+        reader.read(pose, &mut positions);
+    }
     Ok(RealMotion { name: clip.name.clone(), action, positions, frame_count })
+}
+
+/// Reads what a classifier sees out of poses of one layout.
+pub(super) struct PoseReader {
+    /// `None`: the channels as they are.
+    body: Option<Body>,
+    metres: f64,
+    layout_channel_count: usize,
+}
+
+impl PoseReader {
+    pub fn new(layout: &PoseLayout, skeleton: Option<&Skeleton>) -> Self {
+        Self {
+            body: Body::new(layout, skeleton),
+            metres: metres_of(layout),
+            layout_channel_count: layout.channel_count(),
+        }
+    }
+
+    pub fn input(&self) -> Input {
+        if self.body.is_some() { Input::Joints } else { Input::Channels }
+    }
+
+    /// Numbers of what is read of one pose.
+    pub fn channel_count(&self) -> usize {
+        self.body.as_ref().map_or(self.layout_channel_count, |body| 3 * body.joint_count())
+    }
+
+    /// Appends what a classifier sees of one pose.
+    pub fn read(&self, pose: &[f32], seen: &mut Vec<f32>) {
+        match &self.body {
+            Some(body) => seen.extend(positions_of(body, pose, self.metres)),
+            None => seen.extend_from_slice(pose),
+        }
+    }
 }
 
 /// Joints of one pose, x, y and z each, in metres.
@@ -127,9 +165,12 @@ mod tests {
     use crate::evaluate::specimen::clip_set;
 
     #[test]
-    fn servos_are_refused() {
-        let message = RealMotions::new(&character::clip_set(1, 1), None).unwrap_err().to_string();
-        assert!(message.contains("only bodies can be evaluated"), "{message}");
+    fn servos_are_seen_as_their_channels() {
+        let clips = character::clip_set(1, 1);
+        let real = RealMotions::new(&clips, None).unwrap();
+        assert_eq!((real.input, real.channel_count()), (Input::Channels, character::JOINT_COUNT));
+        assert_eq!(real.training[0].positions, clips.clips[0].poses);
+        assert!(real.joints[0].ends_with("_deg"));
     }
 
     #[test]

@@ -12,6 +12,7 @@ use super::real::RealMotions;
 use super::report::{DataDescription, Figures, NearestTrainingClip};
 use super::roster::{Chosen, Roster};
 use super::row::{RealScores, Row, Scored};
+use crate::classifier::example::Input;
 use crate::error::Result;
 use crate::train::{BAR_LENGTH, Progress, progress_bar};
 
@@ -21,7 +22,8 @@ pub struct RealSide<'a> {
     pub(super) judge: &'a Judge<'a>,
     pub(super) protocol: &'a Protocol,
     pub(super) roster: Roster<'a>,
-    pub(super) clips: TrainingClips,
+    /// Of bodies.
+    pub(super) clips: Option<TrainingClips>,
     /// // (repetition)
     pub(super) scores: Vec<RealScores>,
     pub(super) figures: Figures,
@@ -40,8 +42,10 @@ impl<'a> RealSide<'a> {
         protocol: &'a Protocol,
         progress: Progress,
     ) -> Result<Self> {
+        judge.check_frames(protocol.frames)?;
         let roster = Roster::new(data, protocol)?;
-        let clips = TrainingClips::new(&data.training, data.joints.len());
+        let is_body = data.input == Input::Joints;
+        let clips = is_body.then(|| TrainingClips::new(&data.training, data.joints.len()));
         let why_not_held_out = why_not_held_out(data, judge, &roster);
         let bar = progress_bar(progress);
         bar.set_message("real motions");
@@ -53,18 +57,26 @@ impl<'a> RealSide<'a> {
             let mut real = RealScores { training, held_out: None };
             if why_not_held_out.is_none() {
                 let (chosen, crops, held_out) = score(Role::HeldOut)?;
-                held_out_mm.extend(clips.nearest_mm(&crops, &chosen.actions(), |_| None));
+                if let Some(clips) = &clips {
+                    held_out_mm.extend(clips.nearest_mm(&crops, &chosen.actions(), |_| None));
+                }
                 real.held_out = Some(held_out.gaussian);
             }
             let (chosen, crops, again) = score(Role::RealAgain)?;
-            let own = |motion: usize| Some(chosen.indices[motion]);
-            training_mm.extend(clips.nearest_mm(&crops, &chosen.actions(), own));
+            if let Some(clips) = &clips {
+                let own = |motion: usize| Some(chosen.indices[motion]);
+                training_mm.extend(clips.nearest_mm(&crops, &chosen.actions(), own));
+            }
             let mut pairs = roster.pair_stream(Role::RealAgain, repetition);
             row.push(&again, &real, judge.feature_count(), &mut pairs);
             scores.push(real);
             bar.set_position((repetition + 1) as u64 * BAR_LENGTH / protocol.repetitions as u64);
         }
         bar.finish_and_clear();
+        let no_millimetres = (!is_body).then(|| {
+            "no distances to the nearest training clip: only of bodies are they millimetres; APD is in channel units"
+                .to_owned()
+        });
         Ok(Self {
             figures: row.figures(&data.actions),
             nearest: NearestTrainingClip {
@@ -72,7 +84,7 @@ impl<'a> RealSide<'a> {
                 held_out: Quantiles::of(held_out_mm),
                 training: Quantiles::of(training_mm),
             },
-            remarks: why_not_held_out.into_iter().collect(),
+            remarks: why_not_held_out.into_iter().chain(no_millimetres).collect(),
             data,
             judge,
             protocol,
@@ -88,6 +100,7 @@ impl<'a> RealSide<'a> {
             training_clip_count: self.data.training.len(),
             held_out_clip_count: self.data.held_out.len(),
             actions: self.data.actions.clone(),
+            input: self.data.input,
             joint_count: self.data.joints.len(),
             rate_hz: self.data.rate_hz,
         }
@@ -103,7 +116,7 @@ fn score_real<'a>(
     repetition: usize,
 ) -> Result<(Chosen<'a>, Crops, Scored)> {
     let chosen = roster.choose(role, repetition);
-    let crops = chosen.real_crops(protocol.frames, data.channel_count());
+    let crops = chosen.real_crops(protocol.frames, data);
     let verdict = judge.score(&crops, protocol.hidden_start(role, repetition));
     let counts = [judge.feature_count(), data.actions.len()];
     let of = if role == Role::HeldOut { "held-out clips" } else { "training clips" };

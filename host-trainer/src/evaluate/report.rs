@@ -5,6 +5,8 @@
 
 use serde::Serialize;
 
+use crate::classifier::example::Input;
+
 use super::estimate::Estimate;
 use super::nearest_clip::Quantiles;
 use super::papers::PaperRow;
@@ -50,7 +52,8 @@ pub struct Figures {
     pub multimodality: Estimate,
     /// Mean distance of features to the nearest training clip.
     pub mms: Estimate,
-    /// Average pairwise distance of crops within an action, metres, mean over the actions.
+    /// Average pairwise distance of crops within an action, metres (or channel units), mean over the
+    /// actions.
     pub apd: Estimate,
     /// The same as a share of the training clips', per action, mean over the actions, percent.
     pub apd_normalized: Estimate,
@@ -99,7 +102,9 @@ pub struct DataDescription {
     pub held_out_clip_count: usize,
     /// Names of the actions.
     pub actions: Vec<String>,
-    /// Joints of a pose.
+    /// What a pose is.
+    pub input: Input,
+    /// Joints or channels of a pose.
     pub joint_count: usize,
     /// Poses per second.
     pub rate_hz: f64,

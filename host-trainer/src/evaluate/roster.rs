@@ -108,8 +108,9 @@ impl Chosen<'_> {
     }
 
     /// The clips themselves in their windows.
-    pub fn real_crops(&self, frame_count: usize, channel_count: usize) -> Crops {
-        let mut crops = Crops::new(frame_count, channel_count);
+    pub fn real_crops(&self, frame_count: usize, data: &RealMotions) -> Crops {
+        let channel_count = data.channel_count();
+        let mut crops = Crops::new(frame_count, channel_count, data.input);
         for (clip, &window) in self.clips.iter().zip(&self.windows) {
             let frames = window.first..window.first + window.count;
             let poses = frames.start * channel_count..frames.end * channel_count;

@@ -1,7 +1,7 @@
 //! Where generated motions come from: the float model or a blob, one seam for both.
 //!
 //! In:  [`MotionRequest`]s: action, length, window, seed.
-//! Out: joint positions in metres, of the window's frames only.
+//! Out: joint positions in metres, or channels where there is no body, of the window's frames only.
 //!
 //! Why here: whatever makes motions is measured by the same rule. A blob is decoded by `karakuri` itself, so its row is
 //! the device's. The float decoder takes its codes from any [`CodeSampler`], so that samplers are compared on one
@@ -17,6 +17,7 @@ pub use blob::BlobSource;
 pub use float::{ClipCodes, FloatSource};
 
 use super::crop::Window;
+use crate::classifier::example::Input;
 use crate::error::Result;
 use crate::mixture::set::MixtureSet;
 
@@ -33,7 +34,7 @@ pub struct MotionRequest {
     pub seed: u64,
 }
 
-/// Makes motions of a body.
+/// Makes motions.
 pub trait MotionSource: Sync {
     /// What it is, for the report.
     fn description(&self) -> SourceDescription;
@@ -41,18 +42,21 @@ pub trait MotionSource: Sync {
     /// Names of its actions.
     fn actions(&self) -> &[String];
 
-    /// Joints of its body.
-    fn joint_count(&self) -> usize;
+    /// What its poses are.
+    fn input(&self) -> Input;
+
+    /// Numbers of a pose: joints times 3, or channels.
+    fn channel_count(&self) -> usize;
 
     /// Poses per second.
     fn rate_hz(&self) -> f64;
 
-    /// Joint positions in metres; the same requests give the same bits with any number of threads. // (motion), (frame
-    /// of the window, joint · xyz)
+    /// Joint positions in metres, or channels; the same requests give the same bits with any number of threads. //
+    /// (motion), (frame of the window, channel)
     ///
     /// # Errors
     /// A length that the source was not trained for.
-    fn joint_positions(&self, requests: &[MotionRequest]) -> Result<Vec<Vec<f32>>>;
+    fn poses(&self, requests: &[MotionRequest]) -> Result<Vec<Vec<f32>>>;
 }
 
 /// Where a row's motions come from.

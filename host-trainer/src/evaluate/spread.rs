@@ -117,6 +117,7 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
 
     use super::*;
+    use crate::classifier::example::Input;
     use crate::evaluate::crop::Window;
 
     fn rng() -> ChaCha8Rng {
@@ -149,7 +150,7 @@ mod tests {
 
     #[test]
     fn pairwise_distance_is_over_all_pairs_of_an_action() {
-        let mut crops = Crops::new(1, 6);
+        let mut crops = Crops::new(1, 6, Input::Joints);
         for x in [0.0, 3.0, 4.0, 8.0] {
             crops.push(Window { first: 0, count: 1 }, &[0.0, 0.0, 0.0, x, 0.0, 0.0]);
         }

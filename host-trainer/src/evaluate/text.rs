@@ -16,7 +16,9 @@ impl fmt::Display for Evaluation {
         writeln!(out, "{}\n", self.headline())?;
         writeln!(out, "{}", self.rows())?;
         writeln!(out, "{}", self.accuracies())?;
-        writeln!(out, "{}", self.distances())?;
+        if self.nearest_training_clip_mm.generated.is_some() {
+            writeln!(out, "{}", self.distances())?;
+        }
         for row in &self.papers {
             writeln!(out, "{}: {}", row.name, row.note)?;
         }
@@ -59,7 +61,7 @@ impl Evaluation {
             "diversity",
             "multimodality",
             "MMS",
-            "APD m",
+            "APD",
             "n-APD %",
         ]);
         rows.into_iter().for_each(|(_, row)| table.push(row));
@@ -107,7 +109,9 @@ impl Evaluation {
 }
 
 fn cell(estimate: Estimate, decimals: usize) -> String {
-    format!("{:.decimals$} ±{:.decimals$}", estimate.mean, estimate.ci95)
+    // Rounding of 0 below 0.
+    let mean = if estimate.mean.abs() < 1e-9 { 0.0 } else { estimate.mean };
+    format!("{mean:.decimals$} ±{:.decimals$}", estimate.ci95)
 }
 
 fn row(name: String, figures: &Figures) -> [String; 9] {

@@ -12,6 +12,7 @@ use super::*;
 use crate::commands::clips::read_clip_data;
 use crate::commands::quantize::quantize_checkpoint;
 use crate::config::TrainConfig;
+use crate::dataset::{self, DatasetOptions};
 use crate::evaluate::specimen::{clip_set, write_classifier, write_clips};
 use crate::quantize::QuantizeOptions;
 use crate::represent::Representation;
@@ -263,4 +264,25 @@ fn report_is_written_as_json_picture_and_text() {
     let text = measure(&args).unwrap().to_string();
     assert!(text.contains("mm to the nearest training clip") && text.contains("→ real"), "{text}");
     assert!(Path::new(&json["source"]["name"].as_str().unwrap()).ends_with("run"));
+}
+
+#[test]
+fn servos_are_measured_on_their_channels() {
+    let clips = crate::character::clip_set(1, 3);
+    let real = RealMotions::new(&clips, None).unwrap();
+    let names: Vec<&str> = real.actions.iter().map(String::as_str).collect();
+    let file = specimen().path("servos");
+    write_classifier(&file, real.channel_count(), names.len(), Some(&names));
+    let classifier = Classifier::load(&file).unwrap();
+    let description = ClassifierDescription { file: String::new(), sha256: String::new() };
+    let judge = Judge::new(&classifier, description, &real, None).unwrap();
+    let dataset = dataset::build(&clips, &DatasetOptions::default()).unwrap();
+    let checkpoint = Checkpoint::start(&dataset, &synthetic::config(""));
+    let codes = ClipCodes(&checkpoint);
+    let source = FloatSource::new(&checkpoint, &codes, "servos", "").unwrap();
+    let protocol = Protocol { repetitions: 2, ..Protocol::default() };
+    let evaluation = evaluate(&source, &real, &judge, &protocol, Progress::Hidden).unwrap();
+    assert!(is_finite(&evaluation));
+    assert!(evaluation.nearest_training_clip_mm.generated.is_none());
+    assert!(evaluation.to_string().contains("only of bodies"));
 }

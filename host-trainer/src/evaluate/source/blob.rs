@@ -1,7 +1,7 @@
 //! Motions of a blob, in the device's own arithmetic.
 //!
 //! In:  a checked blob.
-//! Out: joint positions, to `evaluate`.
+//! Out: what a classifier sees of its poses, to `evaluate`.
 //!
 //! Why here: `karakuri` samples and decodes, as on the device; nothing of its arithmetic is written a second time.
 
@@ -12,18 +12,17 @@ use rayon::prelude::*;
 use sha2::{Digest, Sha256};
 
 use super::{MotionRequest, MotionSource, SourceDescription};
-use crate::body::Body;
 use crate::checkpoint::hexadecimal;
+use crate::classifier::example::Input;
 use crate::error::{Error, Result};
-use crate::evaluate::real::{metres_of, positions_of};
+use crate::evaluate::real::PoseReader;
 use crate::generate::{layout_of, skeleton_of};
 use crate::inspect::blob::BlobReport;
 
 /// A blob that makes motions.
 pub struct BlobSource<'a> {
     model: &'a Model<'a>,
-    body: Body,
-    metres: f64,
+    reader: PoseReader,
     actions: Vec<String>,
     description: SourceDescription,
 }
@@ -34,19 +33,11 @@ impl<'a> BlobSource<'a> {
     /// `bytes` are those that `model` was read from, at `path`.
     ///
     /// # Errors
-    /// A blob whose poses are not a body.
+    /// A blob that core refuses.
     pub fn new(path: &Path, model: &'a Model<'a>, bytes: &[u8]) -> Result<Self> {
         let name = path.display().to_string();
         let layout = layout_of(model);
-        let body = Body::new(&layout, skeleton_of(model).as_ref()).ok_or_else(|| {
-            Error::bad_input(
-                &name,
-                "layout",
-                "not a body",
-                "joint positions or rotations",
-                "only bodies can be evaluated: the classifier sees joints",
-            )
-        })?;
+        let reader = PoseReader::new(&layout, skeleton_of(model).as_ref());
         let report = BlobReport::new(path, bytes)?;
         let description = SourceDescription {
             format: report.format.to_owned(),
@@ -58,7 +49,7 @@ impl<'a> BlobSource<'a> {
             name,
         };
         let actions = model.actions().map(str::to_owned).collect();
-        Ok(Self { model, body, metres: metres_of(&layout), actions, description })
+        Ok(Self { model, reader, actions, description })
     }
 
     fn decode(&self, (workspace, pose): &mut Buffers, request: &MotionRequest) -> Result<Vec<f32>> {
@@ -73,16 +64,16 @@ impl<'a> BlobSource<'a> {
             reason: reason.to_string(),
         })?;
         decoder.start(&code);
-        let mut positions = Vec::with_capacity(request.window.count * self.body.joint_count() * 3);
+        let mut seen = Vec::with_capacity(request.window.count * self.reader.channel_count());
         let mut channels = Vec::with_capacity(self.model.channel_count());
         let window = request.window.first..request.window.first + request.window.count;
         for frame in window {
             decoder.decode(FramePosition::from_frames(frame as u32), pose);
             channels.clear();
             channels.extend(pose.values().map(|value| value as f32));
-            positions.extend(positions_of(&self.body, &channels, self.metres));
+            self.reader.read(&channels, &mut seen);
         }
-        Ok(positions)
+        Ok(seen)
     }
 
     fn refusal(&self, request: &MotionRequest, reason: &str) -> Error {
@@ -105,15 +96,19 @@ impl MotionSource for BlobSource<'_> {
         &self.actions
     }
 
-    fn joint_count(&self) -> usize {
-        self.body.joint_count()
+    fn input(&self) -> Input {
+        self.reader.input()
+    }
+
+    fn channel_count(&self) -> usize {
+        self.reader.channel_count()
     }
 
     fn rate_hz(&self) -> f64 {
         f64::from(self.model.rate_millihz()) / 1000.0
     }
 
-    fn joint_positions(&self, requests: &[MotionRequest]) -> Result<Vec<Vec<f32>>> {
+    fn poses(&self, requests: &[MotionRequest]) -> Result<Vec<Vec<f32>>> {
         let buffers = || (Box::new(Workspace::new()), Pose::new());
         requests
             .par_iter()

@@ -1,7 +1,7 @@
 //! Motions of the float model.
 //!
 //! In:  a checkpoint, and a [`CodeSampler`] over its sequence codes.
-//! Out: joint positions, to `evaluate`.
+//! Out: what a classifier sees of its poses, to `evaluate`.
 
 use rand::SeedableRng;
 use rand::seq::IteratorRandom;
@@ -9,10 +9,10 @@ use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
 use super::{CodeSampler, MotionRequest, MotionSource, SourceDescription};
-use crate::body::Body;
 use crate::checkpoint::Checkpoint;
+use crate::classifier::example::Input;
 use crate::error::{Error, Result};
-use crate::evaluate::real::{metres_of, positions_of};
+use crate::evaluate::real::PoseReader;
 use crate::float_model::{Rows, Workspace};
 
 /// Motions that go through the decoder together: enough to share the moments' half of layer 1.
@@ -55,7 +55,7 @@ impl CodeSampler for ClipCodes<'_> {
 pub struct FloatSource<'a> {
     checkpoint: &'a Checkpoint,
     sampler: &'a dyn CodeSampler,
-    body: Body,
+    reader: PoseReader,
     name: String,
     file_hash: String,
 }
@@ -64,7 +64,7 @@ impl<'a> FloatSource<'a> {
     /// `name` and `file_hash` are for the report.
     ///
     /// # Errors
-    /// A run whose poses are not a body.
+    /// A run whose weights are not finite.
     pub fn new(
         checkpoint: &'a Checkpoint,
         sampler: &'a dyn CodeSampler,
@@ -72,23 +72,35 @@ impl<'a> FloatSource<'a> {
         file_hash: impl Into<String>,
     ) -> Result<Self> {
         let name = name.into();
+        let mut weights = checkpoint
+            .model
+            .layers
+            .iter()
+            .flat_map(|layer| layer.weights.iter().chain(&layer.bias));
+        if let Some(weight) = weights.find(|weight| !weight.is_finite()) {
+            let remedy = "train again with smaller learning rates";
+            return Err(Error::bad_input(name, "weights", weight, "finite numbers", remedy));
+        }
         let dataset = &checkpoint.dataset;
-        let body = Body::new(&dataset.layout, dataset.skeleton.as_ref()).ok_or_else(|| {
-            Error::bad_input(
-                &name,
-                "layout",
-                "not a body",
-                "joint positions or rotations",
-                "only bodies can be evaluated: the classifier sees joints",
-            )
-        })?;
-        Ok(Self { checkpoint, sampler, body, name, file_hash: file_hash.into() })
+        let reader = PoseReader::new(&dataset.layout, dataset.skeleton.as_ref());
+        Ok(Self { checkpoint, sampler, reader, name, file_hash: file_hash.into() })
     }
 
     /// β by the sampler, then the action's mean α.
     fn code(&self, request: &MotionRequest) -> Result<Vec<f32>> {
         let mut random = ChaCha8Rng::seed_from_u64(request.seed);
         let mut code = self.sampler.sample(request.action, request.frame_count, &mut random)?;
+        let expected = self.checkpoint.sequence_codes.dimension_count;
+        if code.len() != expected {
+            let remedy = "sample codes of this run";
+            return Err(Error::bad_input(
+                &self.name,
+                "numbers of a code",
+                code.len(),
+                expected,
+                remedy,
+            ));
+        }
         code.extend(self.checkpoint.action_codes.mean_of(request.action));
         Ok(code)
     }
@@ -145,25 +157,31 @@ impl MotionSource for FloatSource<'_> {
         &self.checkpoint.dataset.actions
     }
 
-    fn joint_count(&self) -> usize {
-        self.body.joint_count()
+    fn input(&self) -> Input {
+        self.reader.input()
+    }
+
+    fn channel_count(&self) -> usize {
+        self.reader.channel_count()
     }
 
     fn rate_hz(&self) -> f64 {
         self.checkpoint.dataset.rate_hz
     }
 
-    fn joint_positions(&self, requests: &[MotionRequest]) -> Result<Vec<Vec<f32>>> {
+    fn poses(&self, requests: &[MotionRequest]) -> Result<Vec<Vec<f32>>> {
         let mut poses = Vec::with_capacity(requests.len());
         for batch in requests.chunks(MOTIONS_PER_BATCH) {
             self.decode(batch, &mut poses)?;
         }
         let dataset = &self.checkpoint.dataset;
-        let metres = metres_of(&dataset.layout);
         poses.par_iter_mut().for_each(|motion| {
             dataset.destandardize(motion);
-            let poses = motion.chunks_exact(dataset.layout.channel_count());
-            *motion = poses.flat_map(|pose| positions_of(&self.body, pose, metres)).collect();
+            let mut seen = Vec::with_capacity(motion.len());
+            for pose in motion.chunks_exact(dataset.layout.channel_count()) {
+                self.reader.read(pose, &mut seen);
+            }
+            *motion = seen;
         });
         Ok(poses)
     }
