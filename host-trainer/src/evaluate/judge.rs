@@ -36,8 +36,8 @@ impl<'a> Judge<'a> {
     /// Checks that the classifier fits. `order` names the actions of its logits where the file does not.
     ///
     /// # Errors
-    /// Another number of joints or of actions than the data's; joints in another order, as far as both sides have names;
-    /// actions that have no or another name.
+    /// Another number of joints or of actions than the data's; joints in another order, as far as both sides have
+    /// names; actions that have no or another name.
     pub fn new(
         classifier: &'a Classifier,
         description: ClassifierDescription,

@@ -22,8 +22,8 @@ pub struct RealMotions {
     pub input: Input,
     /// Names of the actions, sorted.
     pub actions: Vec<String>,
-    /// Names of the joints, the root first, or of the channels; joints are named by their groups where the clips name no
-    /// skeleton.
+    /// Names of the joints, the root first, or of the channels; joints are named by their groups where the clips name
+    /// no skeleton.
     pub joints: Vec<String>,
     /// Poses per second.
     pub rate_hz: f64,
