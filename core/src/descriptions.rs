@@ -197,9 +197,13 @@ impl<'a> Reader<'a> {
     }
 
     fn sampler(&mut self) -> SamplerShape {
-        let is_mixture = self.variant(2) == 1;
+        let kind = match self.variant(3) {
+            0 => SamplerKind::ClipCodes,
+            1 => SamplerKind::DiagonalMixture,
+            _ => SamplerKind::NearestClips { clip_count: self.u16(), row_bytes: self.u16() },
+        };
         SamplerShape {
-            kind: if is_mixture { SamplerKind::DiagonalMixture } else { SamplerKind::ClipCodes },
+            kind,
             component_count: self.u32(),
             member_count: self.u32(),
             interval_count: self.u16(),
@@ -214,7 +218,7 @@ mod tests {
 
     use super::*;
     use crate::blob::HEADER_BYTES;
-    use crate::specimen::specimen;
+    use crate::specimen::{KINDS, specimen};
 
     #[test]
     fn number_that_never_ends_is_broken() {
@@ -231,8 +235,8 @@ mod tests {
 
     #[test]
     fn manifest_is_what_was_written() {
-        for format in NumberFormat::ALL {
-            let blob = specimen(format, SamplerKind::DiagonalMixture);
+        for (format, kind) in NumberFormat::ALL.into_iter().zip(KINDS.into_iter().cycle()) {
+            let blob = specimen(format, kind);
             let mut reader = Reader::new(&blob[HEADER_BYTES..]);
             let mut manifest = Manifest::empty();
             reader.manifest(&mut manifest);

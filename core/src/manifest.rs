@@ -107,6 +107,25 @@ pub enum SamplerKind {
     ClipCodes,
     /// A Gaussian mixture with diagonal covariances.
     DiagonalMixture,
+    /// As `ClipCodes`, but one of the clips of the action that are nearest in length; every number has as many bits
+    /// as its column needs.
+    NearestClips {
+        /// Clips that a motion is drawn from, all that the action has where it has fewer.
+        clip_count: u16,
+        /// Bytes of a clip's code.
+        row_bytes: u16,
+    },
+}
+
+impl SamplerKind {
+    /// The name in commands and reports.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::ClipCodes => "clip codes",
+            Self::DiagonalMixture => "diagonal mixture",
+            Self::NearestClips { .. } => "nearest clips",
+        }
+    }
 }
 
 /// The first description: everything of fixed size.
@@ -217,11 +236,11 @@ pub struct SamplerShape {
     pub kind: SamplerKind,
     /// Stored means: clips, or Gaussians.
     pub component_count: u32,
-    /// Entries of all intervals together.
+    /// Entries of all intervals together; `NearestClips` has none, members of its intervals are components.
     pub member_count: u32,
-    /// Length intervals of all actions together.
+    /// Length intervals of all actions together; `NearestClips`: one an action.
     pub interval_count: u16,
-    /// `ClipCodes`: largest step towards a neighbour, Q0.16.
+    /// Clips: largest step towards a neighbour, Q0.16.
     pub step_max_q16: u32,
 }
 
@@ -264,17 +283,26 @@ pub enum TensorKind {
     /// i16 in the code format. // (action, action code)
     ActionCodes,
     /// i8, in units of the component steps. // (component, sequence code)
+    ///
+    /// `NearestClips`: unsigned numbers of as many bits as their columns say, the lowest bits first; every row fills
+    /// whole bytes. Clips are in order of action, then of length.
     Components,
     /// i32: code units · 2^8 per 1 of a component. // (sequence code)
     ComponentSteps,
+    /// `NearestClips` only: value of 0 in code units i16, bits u8 (0..=8), zero u8. // (sequence code)
+    Columns,
     /// u8, in units of the deviation steps; `DiagonalMixture` only. // (component, sequence code)
     Deviations,
-    /// i32: code units · 2^8. `ClipCodes`: σ of the noise; `DiagonalMixture`: per 1 of a deviation. // (sequence code)
+    /// i32: code units · 2^8. Clips: σ of the noise; `DiagonalMixture`: per 1 of a deviation. // (sequence code)
     DeviationSteps,
     /// Pairs of u16: component, cumulative weight (65,535 at an interval's last member). // (member, 2)
     Members,
-    /// action u16, frames min u16, frames max u16, spread u16 (Q4.12: factor on the noise of `ClipCodes`),
+    /// `NearestClips` only: frames of every clip, u16. // (component)
+    Lengths,
+    /// action u16, frames min u16, frames max u16, spread u16 (Q4.12: factor on the noise of clips),
     /// first member u32, members u32. // (interval)
+    ///
+    /// `NearestClips`: members are components.
     Intervals,
     /// Packed, see `packing.rs`. // (out, in)
     Weights(usize),
@@ -294,9 +322,9 @@ impl TensorKind {
         match self {
             Self::Frequencies => "time embedding",
             Self::ActionCodes => "action codes",
-            Self::Components | Self::ComponentSteps => "sampler means",
+            Self::Components | Self::ComponentSteps | Self::Columns => "sampler means",
             Self::Deviations | Self::DeviationSteps => "sampler deviations",
-            Self::Members | Self::Intervals => "sampler intervals",
+            Self::Members | Self::Lengths | Self::Intervals => "sampler intervals",
             Self::Weights(_) => "weights",
             Self::Bias(_) => "biases",
             Self::Scales(_) | Self::GroupScales(_) => "scales",
@@ -307,6 +335,8 @@ impl TensorKind {
 
 /// Bytes of one interval record.
 pub(crate) const INTERVAL_BYTES: usize = 16;
+/// Bytes of one column record.
+pub(crate) const COLUMN_BYTES: usize = 4;
 /// Bytes of one member record.
 pub(crate) const MEMBER_BYTES: usize = 4;
 /// Index of the code half of layer 1 in [`Manifest::layers`].
@@ -315,7 +345,7 @@ pub const CODE_LAYER: usize = 0;
 pub const TIME_LAYER: usize = 1;
 
 /// Tensors before those of the layers.
-const TABLES: usize = 8;
+const TABLES: usize = 10;
 
 /// All tensors in file order with their lengths in bytes; 64 bits, so that no manifest can overflow them.
 pub fn tensor_plan(manifest: &Manifest<'_>) -> impl Iterator<Item = (TensorKind, u64)> {
@@ -325,20 +355,32 @@ pub fn tensor_plan(manifest: &Manifest<'_>) -> impl Iterator<Item = (TensorKind,
 fn tensor_at(manifest: &Manifest<'_>, index: usize) -> (TensorKind, u64) {
     let sampler = &manifest.sampler;
     let code_count = u64::from(manifest.sequence_code_count);
-    let component_numbers = u64::from(sampler.component_count) * code_count;
-    let is_mixture = sampler.kind == SamplerKind::DiagonalMixture;
+    let component_count = u64::from(sampler.component_count);
+    let component_numbers = component_count * code_count;
+    let [component_bytes, column_bytes, deviation_bytes, length_bytes] = match sampler.kind {
+        SamplerKind::ClipCodes => [component_numbers, 0, 0, 0],
+        SamplerKind::DiagonalMixture => [component_numbers, 0, component_numbers, 0],
+        SamplerKind::NearestClips { row_bytes, .. } => [
+            component_count * u64::from(row_bytes),
+            COLUMN_BYTES as u64 * code_count,
+            0,
+            2 * component_count,
+        ],
+    };
     match index {
         0 => (TensorKind::Frequencies, 4 * u64::from(manifest.frequency_count)),
         1 => (
             TensorKind::ActionCodes,
             2 * u64::from(manifest.action_count) * u64::from(manifest.action_code_count),
         ),
-        2 => (TensorKind::Components, component_numbers),
+        2 => (TensorKind::Components, component_bytes),
         3 => (TensorKind::ComponentSteps, 4 * code_count),
-        4 => (TensorKind::Deviations, if is_mixture { component_numbers } else { 0 }),
-        5 => (TensorKind::DeviationSteps, 4 * code_count),
-        6 => (TensorKind::Members, MEMBER_BYTES as u64 * u64::from(sampler.member_count)),
-        7 => (TensorKind::Intervals, INTERVAL_BYTES as u64 * u64::from(sampler.interval_count)),
+        4 => (TensorKind::Columns, column_bytes),
+        5 => (TensorKind::Deviations, deviation_bytes),
+        6 => (TensorKind::DeviationSteps, 4 * code_count),
+        7 => (TensorKind::Members, MEMBER_BYTES as u64 * u64::from(sampler.member_count)),
+        8 => (TensorKind::Lengths, length_bytes),
+        9 => (TensorKind::Intervals, INTERVAL_BYTES as u64 * u64::from(sampler.interval_count)),
         _ => layer_tensor_at(manifest, index - TABLES),
     }
 }

@@ -90,9 +90,15 @@ fn check_shapes(manifest: &Manifest<'_>) -> Result<(), BlobError> {
     if manifest.rate_millihz == 0 {
         return bad("rate", 0);
     }
-    let diagonal = manifest.sampler.kind == SamplerKind::DiagonalMixture;
-    if diagonal && manifest.sampler.step_max_q16 != 0 {
-        return bad("step of a diagonal mixture", manifest.sampler.step_max_q16 as usize);
+    let sampler = &manifest.sampler;
+    match sampler.kind {
+        SamplerKind::DiagonalMixture if sampler.step_max_q16 != 0 => {
+            bad("step of a diagonal mixture", sampler.step_max_q16 as usize)
+        }
+        SamplerKind::NearestClips { clip_count: 0, .. } => bad("nearest clips", 0),
+        SamplerKind::NearestClips { .. } if sampler.member_count != 0 => {
+            bad("members of nearest clips", sampler.member_count as usize)
+        }
+        _ => Ok(()),
     }
-    Ok(())
 }

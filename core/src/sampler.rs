@@ -1,18 +1,18 @@
 //! Station 8: (action, length, random numbers) → code, from tables in flash.
 //!
-//! Two kinds of table share one shape. `ClipCodes`: a component is a training clip's own code; a draw takes one clip of
-//! the interval, moves a random share of the way towards another, and adds noise of one σ per number, shared by all
-//! clips.
+//! Three kinds of table share one shape. `NearestClips`: a component is a training clip's own code; a draw takes one of
+//! the clips of the action that are nearest in length, moves a random share of the way towards another, and adds noise
+//! of one σ per number, shared by all clips. `ClipCodes`: the same among the clips of a length interval.
 //! `DiagonalMixture`: a component is a Gaussian with its own σ per number.
 //!
-//! Why here: full covariances do not fit a microcontroller, and clip codes at one byte a number scored better than
-//! 14 times their size in full mixtures (shared/data/README.md, last table).
+//! Why here: full covariances do not fit a microcontroller, and clip codes at a few bits a number score better than
+//! full mixtures of many times their size (ARCHITECTURE.md, "How motions are drawn").
 //! Source: MotionINR, Algorithm 1, for length intervals and mixtures per action.
 
 use crate::code::{Code, interpolate};
 use crate::error::{BlobError, SampleError};
-use crate::little_endian::{i8s, i16s, i32s};
-use crate::manifest::{INTERVAL_BYTES, MEMBER_BYTES, Manifest, SamplerKind, TensorKind};
+use crate::little_endian::{i8s, i16s, i32s, u16s};
+use crate::manifest::{COLUMN_BYTES, INTERVAL_BYTES, MEMBER_BYTES, Manifest, SamplerKind, TensorKind};
 use crate::model::ActionId;
 use crate::random::{below, gaussian_q12};
 
@@ -30,9 +30,11 @@ pub(crate) struct Sampler<'a> {
     action_codes: &'a [u8],
     components: &'a [u8],
     component_steps: &'a [u8],
+    columns: &'a [u8],
     deviations: &'a [u8],
     deviation_steps: &'a [u8],
     members: &'a [u8],
+    lengths: &'a [u8],
     intervals: &'a [u8],
 }
 
@@ -66,6 +68,21 @@ impl Interval {
     }
 }
 
+/// How one number of every clip's code is stored.
+#[derive(Clone, Copy, Debug)]
+struct Column {
+    /// Value of 0 in code units.
+    least: i16,
+    bits: u8,
+    filler: u8,
+}
+
+impl Column {
+    fn parse(&[a, b, bits, filler]: &[u8; COLUMN_BYTES]) -> Self {
+        Self { least: i16::from_le_bytes([a, b]), bits, filler }
+    }
+}
+
 impl<'a> Sampler<'a> {
     /// Without any table.
     pub fn empty() -> Self {
@@ -80,9 +97,11 @@ impl<'a> Sampler<'a> {
             action_codes: &[],
             components: &[],
             component_steps: &[],
+            columns: &[],
             deviations: &[],
             deviation_steps: &[],
             members: &[],
+            lengths: &[],
             intervals: &[],
         }
     }
@@ -105,9 +124,11 @@ impl<'a> Sampler<'a> {
             TensorKind::ActionCodes => self.action_codes = tensor,
             TensorKind::Components => self.components = tensor,
             TensorKind::ComponentSteps => self.component_steps = tensor,
+            TensorKind::Columns => self.columns = tensor,
             TensorKind::Deviations => self.deviations = tensor,
             TensorKind::DeviationSteps => self.deviation_steps = tensor,
             TensorKind::Members => self.members = tensor,
+            TensorKind::Lengths => self.lengths = tensor,
             TensorKind::Intervals => self.intervals = tensor,
             _ => {}
         }
@@ -117,15 +138,17 @@ impl<'a> Sampler<'a> {
     /// intervals of an action must be disjoint; every action must have one.
     pub fn check(&self) -> Result<(), BlobError> {
         let bad = |field, value: usize| BlobError::BadField { field, value: value as u32 };
+        let is_nearest = matches!(self.kind, SamplerKind::NearestClips { .. });
+        let member_count = if is_nearest { self.component_count } else { self.member_count };
         for (index, interval) in self.intervals().enumerate() {
             let end = interval.member_first.checked_add(interval.member_count);
-            let members =
-                interval.member_count > 0 && end.is_some_and(|end| end <= self.member_count);
+            let members = interval.member_count > 0 && end.is_some_and(|end| end <= member_count);
             let lengths = (1..=interval.frames_max).contains(&interval.frames_min);
             let overlaps = |other: Interval| {
                 other.action == interval.action
-                    && other.frames_min <= interval.frames_max
-                    && interval.frames_min <= other.frames_max
+                    && (is_nearest
+                        || other.frames_min <= interval.frames_max
+                            && interval.frames_min <= other.frames_max)
             };
             if !members || !lengths || interval.action >= self.action_count {
                 return Err(bad("interval", index));
@@ -138,11 +161,36 @@ impl<'a> Sampler<'a> {
         if let Some(action) = (0..self.action_count).find(without) {
             return Err(bad("action without interval", usize::from(action)));
         }
+        if let SamplerKind::NearestClips { row_bytes, .. } = self.kind {
+            return self.check_clips(row_bytes);
+        }
         let beyond = |member: (u16, u16)| u32::from(member.0) >= self.component_count;
         match self.members().position(beyond) {
             Some(index) => Err(bad("member", index)),
             None => Ok(()),
         }
+    }
+
+    /// Columns must fill a row; the clips of an action must ascend from its least length to its greatest.
+    fn check_clips(&self, row_bytes: u16) -> Result<(), BlobError> {
+        let bad = |field, value: usize| Err(BlobError::BadField { field, value: value as u32 });
+        if let Some(index) = self.columns().position(|column| column.bits > 8 || column.filler != 0)
+        {
+            return bad("bits of a column", index);
+        }
+        let bits: usize = self.columns().map(|column| usize::from(column.bits)).sum();
+        if bits.div_ceil(8) != usize::from(row_bytes) {
+            return bad("bytes of a clip's code", usize::from(row_bytes));
+        }
+        for (index, interval) in self.intervals().enumerate() {
+            let lengths = || self.lengths_of(&interval);
+            let ascends = lengths().zip(lengths().skip(1)).all(|(length, next)| length <= next);
+            let ends = (lengths().next(), lengths().last());
+            if !ascends || ends != (Some(interval.frames_min), Some(interval.frames_max)) {
+                return bad("lengths of the clips of interval", index);
+            }
+        }
+        Ok(())
     }
 
     pub fn trained_frames(&self, action: ActionId) -> core::ops::RangeInclusive<u32> {
@@ -174,25 +222,69 @@ impl<'a> Sampler<'a> {
         match self.kind {
             SamplerKind::ClipCodes => self.sample_clip(&interval, random, code),
             SamplerKind::DiagonalMixture => self.sample_gaussian(&interval, random, code),
+            SamplerKind::NearestClips { clip_count, row_bytes } => {
+                let nearest = self.nearest(&interval, frames, u32::from(clip_count));
+                let row = |clip| self.clip(nearest.member_first + clip, row_bytes);
+                self.sample_between(&nearest, row, random, code);
+            }
         }
         code.append(self.action_code(action));
         Ok(())
     }
 
     fn sample_clip(&self, interval: &Interval, random: &mut impl FnMut() -> u32, code: &mut Code) {
+        let row = |member| self.mean(self.component_of(interval, member));
+        self.sample_between(interval, row, random, code);
+    }
+
+    /// One of the interval's members, moved towards another, with noise.
+    #[inline(always)]
+    fn sample_between<R: Iterator<Item = i16>>(
+        &self,
+        interval: &Interval,
+        row: impl Fn(u32) -> R,
+        random: &mut impl FnMut() -> u32,
+        code: &mut Code,
+    ) {
         let chosen = below(interval.member_count, random);
         // Any of the others with equal chance; the clip itself when it is alone.
         let skip = 1 + below(interval.member_count.saturating_sub(1), random);
         let neighbour = (chosen + skip) % interval.member_count.max(1);
         let fraction = (i64::from(random()) * i64::from(self.step_max_q16)) >> 32;
-        let from = self.mean(self.component_of(interval, chosen));
-        let to = self.mean(self.component_of(interval, neighbour));
         let spread = i64::from(interval.spread);
         let sigmas =
             i32s(self.deviation_steps).map(|step| ((i64::from(step) * spread) >> 12) as i32);
-        let means = from.zip(to).map(|(from, to)| interpolate(from, to, fraction));
+        let means =
+            row(chosen).zip(row(neighbour)).map(|(from, to)| interpolate(from, to, fraction));
         let values = means.zip(sigmas);
         code.append(values.map(|(mean, sigma)| add_noise(mean, sigma, random)));
+    }
+
+    /// The `clip_count` clips of an action that are nearest in length, as many shorter as longer ones where there are.
+    fn nearest(&self, action: &Interval, frames: u32, clip_count: u32) -> Interval {
+        let count_of = |is_before: &dyn Fn(u32) -> bool| {
+            self.lengths_of(action).take_while(|&length| is_before(u32::from(length))).count() as u32
+        };
+        let middle = (count_of(&|length| length < frames) + count_of(&|length| length <= frames)) / 2;
+        let member_count = clip_count.min(action.member_count);
+        let skipped = middle.saturating_sub(member_count / 2);
+        let member_first = action.member_first + skipped.min(action.member_count - member_count);
+        Interval { member_first, member_count, ..*action }
+    }
+
+    /// A clip's code in code units.
+    fn clip(&self, clip: u32, row_bytes: u16) -> impl Iterator<Item = i16> + use<'a> {
+        let start = clip as usize * usize::from(row_bytes);
+        let row = self.components.get(start..).unwrap_or_default();
+        let mut bit = 0;
+        self.columns().zip(i32s(self.component_steps)).map(move |(column, step)| {
+            let byte = |index: usize| row.get(index).copied().unwrap_or(0);
+            let pair = u16::from_le_bytes([byte(bit / 8), byte(bit / 8 + 1)]);
+            let number = pair >> (bit % 8) & ((1 << column.bits) - 1);
+            bit += usize::from(column.bits);
+            let product = i64::from(number) * i64::from(step) + (1 << 7);
+            saturate(i64::from(column.least) + (product >> 8))
+        })
     }
 
     fn sample_gaussian(
@@ -220,9 +312,7 @@ impl<'a> Sampler<'a> {
         let row = i8s(self.row(self.components, component));
         row.zip(i32s(self.component_steps)).map(|(value, step)| {
             let product = i64::from(value) * i64::from(step);
-            saturate(
-                ((product + (1 << 7)) >> 8).clamp(i64::from(i32::MIN), i64::from(i32::MAX)) as i32
-            )
+            saturate((product + (1 << 7)) >> 8)
         })
     }
 
@@ -251,6 +341,16 @@ impl<'a> Sampler<'a> {
         self.members.as_chunks::<MEMBER_BYTES>().0.iter().map(parse_member)
     }
 
+    fn columns(&self) -> impl Iterator<Item = Column> + use<'a> {
+        self.columns.as_chunks::<COLUMN_BYTES>().0.iter().map(Column::parse)
+    }
+
+    /// Lengths of the clips of an action of `NearestClips`.
+    fn lengths_of(&self, action: &Interval) -> impl Iterator<Item = u16> + use<'a> {
+        let (first, count) = (action.member_first as usize, action.member_count as usize);
+        u16s(self.lengths).skip(first).take(count)
+    }
+
     fn intervals(&self) -> impl Iterator<Item = Interval> + use<'a> {
         self.intervals.as_chunks().0.iter().map(Interval::parse)
     }
@@ -263,11 +363,11 @@ fn parse_member(&[a, b, c, d]: &[u8; MEMBER_BYTES]) -> (u16, u16) {
 /// `value + σ · N(0, 1)`, with σ in code units · 2^8.
 fn add_noise(value: i16, sigma_q8: i32, random: &mut impl FnMut() -> u32) -> i16 {
     let noise = (i64::from(gaussian_q12(random)) * i64::from(sigma_q8) + (1 << 19)) >> 20;
-    saturate((i64::from(value) + noise).clamp(i64::from(i32::MIN), i64::from(i32::MAX)) as i32)
+    saturate(i64::from(value) + noise)
 }
 
-fn saturate(value: i32) -> i16 {
-    value.clamp(i32::from(i16::MIN), i32::from(i16::MAX)) as i16
+fn saturate(value: i64) -> i16 {
+    value.clamp(i64::from(i16::MIN), i64::from(i16::MAX)) as i16
 }
 
 #[cfg(test)]
@@ -275,7 +375,7 @@ mod tests {
     use std::vec::Vec;
 
     use crate::manifest::{NumberFormat, SamplerKind};
-    use crate::specimen::specimen;
+    use crate::specimen::{KINDS, specimen};
     use crate::{ActionId, Model, Pcg32, SampleError};
 
     #[test]
@@ -288,20 +388,22 @@ mod tests {
 
     #[test]
     fn length_outside_training_is_rejected_with_the_trained_range() {
-        let blob = specimen(NumberFormat::W8A16, SamplerKind::ClipCodes);
-        let model = Model::from_bytes(&blob).unwrap();
-        for frames in [0, 9, 31, u32::MAX] {
-            let error = model.sample(ActionId(0), frames, &mut || 0).unwrap_err();
-            assert_eq!(
-                error,
-                SampleError::OutsideTraining { frames, frames_min: 10, frames_max: 30 }
-            );
+        for kind in KINDS {
+            let blob = specimen(NumberFormat::W8A16, kind);
+            let model = Model::from_bytes(&blob).unwrap();
+            for frames in [0, 9, 31, u32::MAX] {
+                let error = model.sample(ActionId(0), frames, &mut || 0).unwrap_err();
+                assert_eq!(
+                    error,
+                    SampleError::OutsideTraining { frames, frames_min: 10, frames_max: 30 }
+                );
+            }
         }
     }
 
     #[test]
     fn seed_gives_the_same_code_and_another_seed_another() {
-        for kind in [SamplerKind::ClipCodes, SamplerKind::DiagonalMixture] {
+        for kind in KINDS {
             let blob = specimen(NumberFormat::W8A16, kind);
             let model = Model::from_bytes(&blob).unwrap();
             let draw = |seed| {
@@ -310,6 +412,46 @@ mod tests {
             };
             assert_eq!(draw(1), draw(1));
             assert_ne!(draw(1), draw(2));
+        }
+    }
+
+    /// Numbers β of a draw of `NearestClips`, free of noise.
+    fn quiet_draw(frames: u32, random: &mut impl FnMut() -> u32) -> Vec<i16> {
+        let blob = specimen(NumberFormat::W8A16, KINDS[2]);
+        let model = Model::from_bytes(&blob).unwrap();
+        // The Gaussian of 2^31 - 1 is the median.
+        let mut draws = 0;
+        let mut quiet = || {
+            draws += 1;
+            if draws <= 3 { random() } else { 0x7FFF_FFFF }
+        };
+        let code = model.sample(ActionId(0), frames, &mut quiet).unwrap();
+        code.values()[..3].to_vec()
+    }
+
+    #[test]
+    fn nearest_clips_are_those_around_the_length() {
+        // Clips of action 0 have 10, 20 and 30 frames; two are drawn from, without a step towards the other.
+        let firsts = |frames: u32| {
+            let mut first = [0, u32::MAX].map(|which| {
+                let mut draws = [which, 0, 0].into_iter();
+                quiet_draw(frames, &mut || draws.next().unwrap_or(0))
+            });
+            first.sort();
+            first
+        };
+        assert_eq!(firsts(10), firsts(12));
+        assert_eq!(firsts(25), firsts(30));
+        assert_ne!(firsts(10), firsts(30));
+        assert_ne!(firsts(20)[0], firsts(20)[1]);
+    }
+
+    #[test]
+    fn column_without_bits_has_its_least_value_in_every_clip() {
+        for frames in 10..=30 {
+            let code = quiet_draw(frames, &mut || 0);
+            assert_eq!(code[1], -300, "{code:?}");
+            assert!((-300..=306).contains(&code[0]), "{code:?}");
         }
     }
 

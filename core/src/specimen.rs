@@ -14,6 +14,16 @@ const ACTION_CODE: usize = 2;
 const FREQUENCIES: usize = 4;
 const COMPONENTS: usize = 5;
 
+/// One of every kind of sampler.
+pub const KINDS: [SamplerKind; 3] = [
+    SamplerKind::ClipCodes,
+    SamplerKind::DiagonalMixture,
+    SamplerKind::NearestClips { clip_count: 2, row_bytes: 2 },
+];
+
+/// Bits of each number of a clip's code, for `NearestClips`.
+const COLUMN_BITS: [u8; SEQUENCE_CODE] = [5, 0, 8];
+
 /// (in, out) of code half, time half, hidden, output.
 const SHAPES: [(u16, u16); 4] = [(5, 6), (8, 6), (6, 7), (7, 4)];
 
@@ -105,9 +115,9 @@ fn manifest(format: NumberFormat, kind: SamplerKind, packing: Packing) -> Manife
         sampler: SamplerShape {
             kind,
             component_count: COMPONENTS as u32,
-            member_count: 5,
-            interval_count: 3,
-            step_max_q16: if kind == SamplerKind::ClipCodes { 13_107 } else { 0 },
+            member_count: if is_nearest(kind) { 0 } else { 5 },
+            interval_count: if is_nearest(kind) { 2 } else { 3 },
+            step_max_q16: if kind == SamplerKind::DiagonalMixture { 0 } else { 13_107 },
         },
         time_table_frames: 0,
         time_table_shift: 0,
@@ -115,10 +125,15 @@ fn manifest(format: NumberFormat, kind: SamplerKind, packing: Packing) -> Manife
     }
 }
 
+fn is_nearest(kind: SamplerKind) -> bool {
+    matches!(kind, SamplerKind::NearestClips { .. })
+}
+
 fn tensor(kind: TensorKind, length: usize, manifest: &Manifest<'_>, random: &mut Pcg32) -> Vec<u8> {
     let format = manifest.number_format;
     let noise = |random: &mut Pcg32| (random.next_u32() >> 24) as u8;
     match kind {
+        _ if length == 0 => Vec::new(),
         TensorKind::Frequencies => [1u32 << 27, 1 << 25, 1 << 23, 1 << 20]
             .iter()
             .flat_map(|step| step.to_le_bytes())
@@ -133,6 +148,16 @@ fn tensor(kind: TensorKind, length: usize, manifest: &Manifest<'_>, random: &mut
             let members: [[u16; 2]; 5] =
                 [[0, 30_000], [1, 65_535], [2, 65_535], [3, 40_000], [4, 65_535]];
             members.iter().flatten().flat_map(|x| x.to_le_bytes()).collect()
+        }
+        TensorKind::Columns => {
+            let least = (-300i16).to_le_bytes();
+            COLUMN_BITS.iter().flat_map(|&bits| [least[0], least[1], bits, 0]).collect()
+        }
+        TensorKind::Lengths => {
+            [10u16, 20, 30, 40, 50].iter().flat_map(|length| length.to_le_bytes()).collect()
+        }
+        TensorKind::Intervals if is_nearest(manifest.sampler.kind) => {
+            [interval(0, 10..=30, 0, 3), interval(1, 40..=50, 3, 2)].concat()
         }
         TensorKind::Intervals => {
             [interval(0, 10..=19, 0, 2), interval(0, 20..=30, 2, 1), interval(1, 40..=50, 3, 2)]
@@ -195,6 +220,7 @@ mod tests {
             let name = format.name();
             seeds.push((format!("{name}-clips"), specimen(format, clips)));
             seeds.push((format!("{name}-mixture"), specimen(format, mixture)));
+            seeds.push((format!("{name}-nearest"), specimen(format, KINDS[2])));
         }
         for format in [NumberFormat::W8A16, NumberFormat::W8A8, NumberFormat::W4A8] {
             let name = format.name();
