@@ -29,6 +29,7 @@ mod manifest_check;
 mod model;
 mod code;
 mod sampler;
+mod sampler_shape;
 mod time_embedding;
 mod workspace;
 mod integer;

@@ -9,6 +9,7 @@ use serde::Serialize;
 
 use crate::limits::LAYERS_MAX;
 use crate::pose_layout::{GroupKind, Unit};
+pub use crate::sampler_shape::{SamplerKind, SamplerShape};
 
 /// How weights and activations are stored and multiplied.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize)]
@@ -96,34 +97,6 @@ impl Packing {
         match self {
             Self::Rows => "rows",
             Self::Tiles => "tiles",
-        }
-    }
-}
-
-/// How the codes of a motion are drawn.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize)]
-pub enum SamplerKind {
-    /// A training clip's own code, moved towards a neighbour's, plus noise of one shared σ.
-    ClipCodes,
-    /// A Gaussian mixture with diagonal covariances.
-    DiagonalMixture,
-    /// As `ClipCodes`, but one of the clips of the action that are nearest in length; every number has as many bits
-    /// as its column needs.
-    NearestClips {
-        /// Clips that a motion is drawn from, all that the action has where it has fewer.
-        clip_count: u16,
-        /// Bytes of a clip's code.
-        row_bytes: u16,
-    },
-}
-
-impl SamplerKind {
-    /// The name in commands and reports.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::ClipCodes => "clip codes",
-            Self::DiagonalMixture => "diagonal mixture",
-            Self::NearestClips { .. } => "nearest clips",
         }
     }
 }
@@ -227,21 +200,6 @@ impl ActivationScale {
     /// Of a layer without an ELU.
     pub const NONE: Self =
         Self { power_step: 1, one: 0, one_shift: 0, zero_point: 0, fraction_bits: 0 };
-}
-
-/// Sizes of the sampler's tables.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-pub struct SamplerShape {
-    /// What a component is.
-    pub kind: SamplerKind,
-    /// Stored means: clips, or Gaussians.
-    pub component_count: u32,
-    /// Entries of all intervals together; `NearestClips` has none, members of its intervals are components.
-    pub member_count: u32,
-    /// Length intervals of all actions together; `NearestClips`: one an action.
-    pub interval_count: u16,
-    /// Clips: largest step towards a neighbour, Q0.16.
-    pub step_max_q16: u32,
 }
 
 /// What makes a model reproducible.

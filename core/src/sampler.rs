@@ -12,7 +12,9 @@
 use crate::code::{Code, interpolate};
 use crate::error::{BlobError, SampleError};
 use crate::little_endian::{i8s, i16s, i32s, u16s};
-use crate::manifest::{COLUMN_BYTES, INTERVAL_BYTES, MEMBER_BYTES, Manifest, SamplerKind, TensorKind};
+use crate::manifest::{
+    COLUMN_BYTES, INTERVAL_BYTES, MEMBER_BYTES, Manifest, SamplerKind, TensorKind,
+};
 use crate::model::ActionId;
 use crate::random::{below, gaussian_q12};
 
@@ -263,9 +265,11 @@ impl<'a> Sampler<'a> {
     /// The `clip_count` clips of an action that are nearest in length, as many shorter as longer ones where there are.
     fn nearest(&self, action: &Interval, frames: u32, clip_count: u32) -> Interval {
         let count_of = |is_before: &dyn Fn(u32) -> bool| {
-            self.lengths_of(action).take_while(|&length| is_before(u32::from(length))).count() as u32
+            self.lengths_of(action).take_while(|&length| is_before(u32::from(length))).count()
+                as u32
         };
-        let middle = (count_of(&|length| length < frames) + count_of(&|length| length <= frames)) / 2;
+        let middle =
+            (count_of(&|length| length < frames) + count_of(&|length| length <= frames)) / 2;
         let member_count = clip_count.min(action.member_count);
         let skipped = middle.saturating_sub(member_count / 2);
         let member_first = action.member_first + skipped.min(action.member_count - member_count);

@@ -115,8 +115,8 @@ impl Parts {
             TensorKind::Bias(index) => self.layers[index].biases(),
             TensorKind::Scales(index) => self.layers[index].scales(self.next_unit(index)),
             TensorKind::TimeTable => self.time_table.clone(),
-            // Only of a diagonal mixture.
-            TensorKind::Deviations => Vec::new(),
+            // Only of other samplers.
+            TensorKind::Deviations | TensorKind::Columns | TensorKind::Lengths => Vec::new(),
         }
     }
 

@@ -11,5 +11,7 @@ pub mod inspect;
 pub mod inspect_clips;
 pub mod quantize;
 pub mod reconstruct;
+pub mod sampler_args;
+pub mod samplers;
 pub mod train;
 pub mod tune;

@@ -14,6 +14,7 @@ use rand_chacha::ChaCha8Rng;
 use crate::body::skeleton::Skeleton;
 use crate::checkpoint::Checkpoint;
 use crate::error::{Error, Result};
+use crate::evaluate::source::CodeSampler;
 use crate::export::Motion;
 use crate::layout::{Group, PoseLayout};
 use crate::mixture::set::MixtureSet;
@@ -34,13 +35,15 @@ pub struct Request {
 /// Widest decoder that the host decodes from a blob.
 const WORKSPACE_WIDTH: usize = karakuri::limits::WIDTH_MAX;
 
-/// Generates by the float model. Mixture draws come from ChaCha8 seeded with the request's seed.
+/// Generates by the float model. The sampler draws from ChaCha8 seeded with the request's seed; `mixtures` say which
+/// lengths were trained.
 ///
 /// # Errors
 /// An unknown action; a length outside training without `clamp`.
 pub fn generate_float(
     checkpoint: &Checkpoint,
     mixtures: &MixtureSet,
+    sampler: &dyn CodeSampler,
     request: &Request,
 ) -> Result<Motion> {
     let dataset = &checkpoint.dataset;
@@ -50,11 +53,7 @@ pub fn generate_float(
         frames = mixtures.clamp_frames(action, frames)?;
     }
     let mut random = ChaCha8Rng::seed_from_u64(request.seed);
-    let mut code: Vec<f32> = mixtures
-        .sample(action, frames, &mut random)?
-        .into_iter()
-        .map(|value| value as f32)
-        .collect();
+    let mut code = sampler.sample(action, frames, &mut random)?;
     code.extend(checkpoint.action_codes.mean_of(action));
     let times: Vec<f64> = (0..frames).map(|frame| frame as f64).collect();
     let mut poses = vec![0.0; frames * dataset.layout.channel_count()];

@@ -23,6 +23,7 @@ pub mod checkpoint;
 pub mod classifier;
 pub mod train;
 pub mod mixture;
+pub mod sampler;
 pub mod quantize;
 pub mod tune;
 pub mod reconstruct;

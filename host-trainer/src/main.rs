@@ -5,7 +5,7 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 use host_trainer::commands::{
     bench, character, classify, demo, evaluate, generate, inspect, inspect_clips, quantize,
-    reconstruct, train, tune,
+    reconstruct, samplers, train, tune,
 };
 use host_trainer::error::Result;
 
@@ -43,6 +43,8 @@ enum Verb {
     Classify(classify::ClassifyArgs),
     /// Measure how real generated motions are
     Evaluate(evaluate::EvaluateArgs),
+    /// Compare samplers that fit flash
+    Samplers(samplers::SamplersArgs),
     /// Measure the speed of training
     Bench(bench::BenchArgs),
 }
@@ -69,6 +71,7 @@ fn run(verb: &Verb) -> Result<()> {
         Verb::Generate(args) => generate::run(args),
         Verb::Classify(args) => classify::run(args),
         Verb::Evaluate(args) => evaluate::run(args),
+        Verb::Samplers(args) => samplers::run(args),
         Verb::Bench(args) => bench::run(args),
     }
 }

@@ -8,6 +8,7 @@ pub mod svg;
 pub mod view;
 pub mod stick_figures;
 pub mod curves;
+pub mod front;
 
 use std::path::Path;
 

@@ -23,8 +23,7 @@ pub mod flash_budget;
 use std::f64::consts::TAU;
 
 use karakuri::manifest::{
-    Group, Joint, Manifest, NumberFormat, Packing, Provenance, SamplerKind, TensorKind,
-    WeightFormat,
+    Group, Joint, Manifest, NumberFormat, Packing, Provenance, TensorKind, WeightFormat,
 };
 use karakuri::{Model, blob::BlobParts, limits};
 
@@ -40,6 +39,8 @@ use crate::quantize::sampler::{code_fraction_bits, quantize_sampler};
 use crate::quantize::split::split_layers;
 use crate::quantize::stored::StoredLayers;
 use crate::quantize::time_table::{TimeTable, time_table};
+use crate::sampler::SamplerChoice;
+use crate::sampler::nearest_clips::ClipOptions;
 
 /// What becomes a blob.
 #[derive(Clone, Copy)]
@@ -89,7 +90,7 @@ pub struct QuantizeOptions {
     /// Order of 8-bit weights.
     pub packing: Packing,
     /// How the device draws codes.
-    pub sampler: SamplerKind,
+    pub sampler: SamplerChoice,
     /// Weights of each layer (code half, time half, the others); `None`: see [`default_weights`].
     pub weights: Option<Vec<WeightFormat>>,
     /// Whole frames whose time half is stored; 0 is none.
@@ -97,12 +98,12 @@ pub struct QuantizeOptions {
 }
 
 impl QuantizeOptions {
-    /// Tiles, clip codes, no time table.
+    /// Tiles, nearest clips, no time table.
     pub const fn new(format: NumberFormat) -> Self {
         Self {
             format,
             packing: Packing::Tiles,
-            sampler: SamplerKind::ClipCodes,
+            sampler: SamplerChoice::NearestClips(ClipOptions::DEFAULT),
             weights: None,
             time_table_frames: 0,
         }
@@ -224,8 +225,13 @@ fn assemble(
     fraction_bits: u8,
     table: Option<&TimeTable>,
 ) -> Result<Vec<u8>> {
-    let sampler =
-        quantize_sampler(options.sampler, input.sequence_codes, input.mixtures, fraction_bits);
+    let sampler = quantize_sampler(
+        options.sampler,
+        input.sequence_codes,
+        input.dataset,
+        input.mixtures,
+        fraction_bits,
+    );
     let mut tensors = sampler.tensors;
     tensors.extend(stored.tensors.iter().cloned());
     tensors.push((TensorKind::Frequencies, frequency_bytes(&input.model.frequencies_rad)));

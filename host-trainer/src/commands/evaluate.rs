@@ -12,6 +12,7 @@ use crate::classifier::Classifier;
 use crate::clip::ClipSet;
 use crate::commands::clips::{read_clip_set, split};
 use crate::commands::inspect_clips::ImportArgs;
+use crate::commands::sampler_args::RunSamplerArgs;
 use crate::error::{Error, Result};
 use crate::evaluate::evaluate;
 use crate::evaluate::judge::Judge;
@@ -19,7 +20,7 @@ use crate::evaluate::picture::draw;
 use crate::evaluate::protocol::{ActionShares, Protocol, Start};
 use crate::evaluate::real::RealMotions;
 use crate::evaluate::report::{ClassifierDescription, Evaluation};
-use crate::evaluate::source::{BlobSource, ClipCodes, FloatSource, MotionSource};
+use crate::evaluate::source::{BlobSource, ClipCodes, CodeSampler, FloatSource, MotionSource};
 
 use crate::hold_out::hold_out;
 use crate::inspect::blob::{load, read_blob};
@@ -79,6 +80,9 @@ pub struct EvaluateArgs {
     /// Print JSON.
     #[arg(long)]
     pub json: bool,
+    /// How codes are drawn.
+    #[command(flatten)]
+    pub sampler: RunSamplerArgs,
     /// How the clips are read.
     #[command(flatten)]
     pub import: ImportArgs,
@@ -98,7 +102,7 @@ fn at_least_one() -> clap::builder::RangedU64ValueParser<usize> {
 }
 
 impl EvaluateArgs {
-    fn protocol(&self) -> Protocol {
+    pub(super) fn protocol(&self) -> Protocol {
         Protocol {
             repetitions: self.repetitions,
             seed: self.seed,
@@ -152,9 +156,15 @@ fn measure(args: &EvaluateArgs) -> Result<Evaluation> {
             return measure_source(args, &source, &data, &classifier);
         }
         let mixtures = mixture::file::of_checkpoint(&args.source, &checkpoint)?;
-        let source = FloatSource::new(&checkpoint, &mixtures, name, hash)?;
+        let stored = args.sampler.build(&checkpoint, &mixtures)?;
+        let sampler: &dyn CodeSampler = match &stored {
+            Some(stored) => &**stored,
+            None => &mixtures,
+        };
+        let source = FloatSource::new(&checkpoint, sampler, name, hash)?;
         return measure_source(args, &source, &data, &classifier);
     }
+    args.sampler.check_none(&args.source)?;
     if args.replay {
         let remedy = "name the run's folder, or leave --replay out";
         return Err(Error::bad_input(&args.source, "--replay", "of a blob", "a run", remedy));

@@ -4,7 +4,9 @@ use std::path::PathBuf;
 
 use crate::atomic_file::{self, Overwrite};
 use crate::checkpoint::Checkpoint;
+use crate::commands::sampler_args::RunSamplerArgs;
 use crate::error::{Error, Result};
+use crate::evaluate::source::CodeSampler;
 use crate::export::{self, ExportFormat, Motion};
 use crate::generate::{Request, generate_blob, generate_float};
 use crate::inspect::blob::{load, read_blob};
@@ -46,6 +48,9 @@ pub struct GenerateArgs {
     /// Take the nearest trained length when the one asked for was never trained.
     #[arg(long)]
     pub clamp: bool,
+    /// How codes are drawn.
+    #[command(flatten)]
+    pub sampler: RunSamplerArgs,
     /// Replace existing files.
     #[arg(long)]
     pub force: bool,
@@ -98,8 +103,16 @@ fn generate_all(args: &GenerateArgs) -> Result<Vec<Motion>> {
     if args.source.is_dir() {
         let checkpoint = Checkpoint::load(&args.source)?;
         let mixtures = mixture::file::of_checkpoint(&args.source, &checkpoint)?;
-        return requests.map(|request| generate_float(&checkpoint, &mixtures, &request)).collect();
+        let stored = args.sampler.build(&checkpoint, &mixtures)?;
+        let sampler: &dyn CodeSampler = match &stored {
+            Some(stored) => &**stored,
+            None => &mixtures,
+        };
+        return requests
+            .map(|request| generate_float(&checkpoint, &mixtures, sampler, &request))
+            .collect();
     }
+    args.sampler.check_none(&args.source)?;
     let blob = read_blob(&args.source)?;
     let model = load(&args.source, &blob)?;
     requests.map(|request| generate_blob(&args.source, &model, &request)).collect()

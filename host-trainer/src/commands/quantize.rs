@@ -4,10 +4,11 @@ use std::path::PathBuf;
 
 use indicatif::{ProgressBar, ProgressStyle};
 use karakuri::NumberFormat;
-use karakuri::manifest::{Packing, Provenance, SamplerKind};
+use karakuri::manifest::{Packing, Provenance};
 
 use crate::atomic_file::{self, Overwrite};
 use crate::checkpoint::{Checkpoint, Tuning};
+use crate::commands::sampler_args::{ClipArgs, SamplerArg};
 use crate::error::Result;
 use crate::inspect::blob::BlobReport;
 use crate::mixture;
@@ -32,8 +33,11 @@ pub struct QuantizeArgs {
     #[arg(long, value_name = "FILE.kara")]
     pub out: PathBuf,
     /// How the device draws codes.
-    #[arg(long, value_enum, default_value_t = SamplerArg::ClipCodes)]
+    #[arg(long, value_enum, default_value_t = SamplerArg::NearestClips)]
     pub sampler: SamplerArg,
+    /// How clips become motions.
+    #[command(flatten)]
+    pub clips: ClipArgs,
     /// Order of 8-bit weights: tiles for every chip, rows for vector units (Cortex-M55) and hosts.
     #[arg(long, value_enum, default_value_t = PackingArg::Tiles)]
     pub packing: PackingArg,
@@ -95,29 +99,11 @@ impl From<PackingArg> for Packing {
     }
 }
 
-/// Samplers by their command-line names.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-pub enum SamplerArg {
-    /// The clips' own codes, moved a little towards a neighbour, with one shared noise.
-    ClipCodes,
-    /// Gaussians with diagonal covariances.
-    DiagonalMixture,
-}
-
-impl From<SamplerArg> for SamplerKind {
-    fn from(sampler: SamplerArg) -> Self {
-        match sampler {
-            SamplerArg::ClipCodes => Self::ClipCodes,
-            SamplerArg::DiagonalMixture => Self::DiagonalMixture,
-        }
-    }
-}
-
 impl QuantizeArgs {
     fn options(&self) -> QuantizeOptions {
         QuantizeOptions {
             packing: self.packing.into(),
-            sampler: self.sampler.into(),
+            sampler: self.sampler.choice(&self.clips),
             time_table_frames: self.time_table,
             ..QuantizeOptions::new(self.format.into())
         }

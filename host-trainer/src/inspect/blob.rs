@@ -6,7 +6,7 @@
 use std::fmt;
 use std::path::Path;
 
-use karakuri::manifest::{SamplerKind, tensor_plan};
+use karakuri::manifest::tensor_plan;
 use karakuri::{ActionId, Model};
 use serde::Serialize;
 
@@ -99,10 +99,7 @@ impl BlobReport {
                 .iter()
                 .map(|shape| (shape.input_count, shape.output_count))
                 .collect(),
-            sampler: match manifest.sampler.kind {
-                SamplerKind::ClipCodes => "clip codes",
-                SamplerKind::DiagonalMixture => "diagonal mixture",
-            },
+            sampler: manifest.sampler.kind.name(),
             component_count: manifest.sampler.component_count,
             interval_count: manifest.sampler.interval_count,
             code_counts: (manifest.sequence_code_count, manifest.action_code_count),

@@ -1,19 +1,21 @@
 //! Station 6c: codes and mixtures → the sampler's tables in the blob.
 //!
-//! In:  the code tables of a checkpoint, and the mixtures fitted to them (for `ClipCodes` their intervals alone).
-//! Out: little-endian tensors, one byte a number for what grows with the clips.
+//! In:  the code tables of a checkpoint, and the mixtures fitted to them (for `ClipCodes` their intervals alone, for
+//!      `NearestClips` nothing).
+//! Out: little-endian tensors, at most one byte a number for what grows with the clips.
 //!
-//! Source: shared/data/README.md, last table: clip codes with one shared σ and up to 20 % towards a neighbour scored
-//! better than full covariances of 14 times the size.
+//! Why here: `sampler` measures; this writes what won, and two others, as core reads them.
 
 use karakuri::manifest::{SamplerKind, SamplerShape, TensorKind};
 
+use crate::dataset::DatasetDescription;
 use crate::float_model::CodeTable;
 use crate::mixture::Factor;
 use crate::mixture::set::{IntervalMixture, MixtureSet};
-
-/// Largest step towards a neighbour, as a share of the way.
-const STEP_MAX: f64 = 0.2;
+use crate::sampler::SamplerChoice;
+use crate::sampler::column::{Column, fit_columns};
+use crate::sampler::interval_clips::STEP_MAX;
+use crate::sampler::nearest_clips::{ActionClips, ClipOptions, quiet, shared_deviations};
 
 /// Unit of the intervals' spread: 1 is 4096.
 const SPREAD_ONE: f64 = 4096.0;
@@ -37,17 +39,21 @@ pub fn code_fraction_bits(tables: [&CodeTable; 2]) -> u8 {
     (0..=14).rev().find(|&bits| largest * f64::from(1 << bits) < 32_767.0).unwrap_or(0)
 }
 
-/// Builds the tables of a sampler of `kind`.
+/// Builds the tables of a sampler.
 pub fn quantize_sampler(
-    kind: SamplerKind,
+    choice: SamplerChoice,
     sequence_codes: &CodeTable,
+    dataset: &DatasetDescription,
     mixtures: &MixtureSet,
     code_fraction_bits: u8,
 ) -> QuantizedSampler {
     let code_unit = 2f64.powi(-i32::from(code_fraction_bits));
-    match kind {
-        SamplerKind::ClipCodes => clip_codes(sequence_codes, mixtures, code_unit),
-        SamplerKind::DiagonalMixture => diagonal_mixture(mixtures, code_unit),
+    match choice {
+        SamplerChoice::NearestClips(options) => {
+            nearest_clips(sequence_codes, dataset, options, code_unit)
+        }
+        SamplerChoice::ClipCodes => clip_codes(sequence_codes, mixtures, code_unit),
+        SamplerChoice::DiagonalMixture => diagonal_mixture(mixtures, code_unit),
     }
 }
 
@@ -77,18 +83,86 @@ fn step_bytes(steps: &[f64], code_unit: f64) -> Vec<u8> {
         .collect()
 }
 
+fn nearest_clips(
+    codes: &CodeTable,
+    dataset: &DatasetDescription,
+    options: ClipOptions,
+    code_unit: f64,
+) -> QuantizedSampler {
+    let rows = rows_of(&codes.mean, codes.dimension_count, f64::from);
+    let learned = shared_deviations(codes);
+    let (columns, errors): (Vec<Column>, Vec<f64>) =
+        fit_columns(&rows, &learned, options.bits_mean).into_iter().unzip();
+    let deviations: Vec<f64> =
+        quiet(&learned, &errors).iter().map(|deviation| options.noise * deviation).collect();
+    let bits: usize = columns.iter().map(|column| usize::from(column.bits)).sum();
+    let actions = ActionClips::of_dataset(dataset);
+    let (mut components, mut lengths, mut intervals) = (Vec::new(), Vec::new(), Vec::new());
+    for action in &actions {
+        let first = lengths.len() / 2;
+        for (&clip, &length) in action.clips.iter().zip(&action.lengths) {
+            components.extend(packed_row(&rows[clip], &columns));
+            lengths.extend((length as u16).to_le_bytes());
+        }
+        let ends = [action.lengths[0], action.lengths[action.lengths.len() - 1]];
+        push_u16s(&mut intervals, [action.action, ends[0]]);
+        push_u16s(&mut intervals, [ends[1], SPREAD_ONE as usize]);
+        intervals.extend((first as u32).to_le_bytes());
+        intervals.extend((action.clips.len() as u32).to_le_bytes());
+    }
+    let shape = SamplerShape {
+        kind: SamplerKind::NearestClips {
+            clip_count: options.clip_count.clamp(1, usize::from(u16::MAX)) as u16,
+            row_bytes: bits.div_ceil(8) as u16,
+        },
+        component_count: rows.len() as u32,
+        member_count: 0,
+        interval_count: actions.len() as u16,
+        step_max_q16: (options.step_max.clamp(0.0, 1.0) * 65_536.0) as u32,
+    };
+    let steps: Vec<f64> = columns.iter().map(|column| column.step).collect();
+    let tensors = vec![
+        (TensorKind::Components, components),
+        (TensorKind::ComponentSteps, step_bytes(&steps, code_unit)),
+        (TensorKind::Columns, column_bytes(&columns, code_unit)),
+        (TensorKind::DeviationSteps, step_bytes(&deviations, code_unit)),
+        (TensorKind::Lengths, lengths),
+        (TensorKind::Intervals, intervals),
+    ];
+    QuantizedSampler { shape, tensors }
+}
+
+/// The numbers of a row one after another, the lowest bits first, filled up to a whole byte.
+fn packed_row(row: &[f64], columns: &[Column]) -> Vec<u8> {
+    let bits: usize = columns.iter().map(|column| usize::from(column.bits)).sum();
+    let mut bytes = vec![0; bits.div_ceil(8) + 1];
+    let mut place = 0;
+    for (value, column) in row.iter().zip(columns) {
+        let [low, high] = (u16::from(column.encode(*value)) << (place % 8)).to_le_bytes();
+        bytes[place / 8] |= low;
+        bytes[place / 8 + 1] |= high;
+        place += usize::from(column.bits);
+    }
+    bytes.truncate(bits.div_ceil(8));
+    bytes
+}
+
+fn column_bytes(columns: &[Column], code_unit: f64) -> Vec<u8> {
+    let record = |column: &Column| {
+        let [low, high] = ((column.least / code_unit).round() as i16).to_le_bytes();
+        [low, high, column.bits, 0]
+    };
+    columns.iter().flat_map(record).collect()
+}
+
+fn rows_of(values: &[f32], dimensions: usize, of: impl Fn(f32) -> f64) -> Vec<Vec<f64>> {
+    values.chunks_exact(dimensions).map(|row| row.iter().map(|&x| of(x)).collect()).collect()
+}
+
 fn clip_codes(codes: &CodeTable, mixtures: &MixtureSet, code_unit: f64) -> QuantizedSampler {
     let dimensions = codes.dimension_count;
-    let rows: Vec<Vec<f64>> = codes
-        .mean
-        .chunks_exact(dimensions)
-        .map(|row| row.iter().map(|&x| f64::from(x)).collect())
-        .collect();
-    let variances: Vec<Vec<f64>> = codes
-        .log_variance
-        .chunks_exact(dimensions)
-        .map(|row| row.iter().map(|&x| f64::from(x).exp()).collect())
-        .collect();
+    let rows = rows_of(&codes.mean, dimensions, f64::from);
+    let variances = rows_of(&codes.log_variance, dimensions, |x| f64::from(x).exp());
     let all: Vec<usize> = (0..rows.len()).collect();
     let shared: Vec<f64> =
         mean_variance(&variances, &all).iter().map(|variance| variance.sqrt()).collect();
@@ -205,4 +279,18 @@ fn push_interval(
     push_u16s(bytes, [interval.frames_max, spread]);
     bytes.extend((member_first as u32).to_le_bytes());
     bytes.extend((member_count as u32).to_le_bytes());
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_are_packed_from_the_lowest_bit() {
+        let column = |bits| Column { least: 0.0, step: 1.0, bits };
+        let columns = [column(3), column(0), column(8), column(6)];
+        // 5 = 101, 200 = 11001000, 33 = 100001; read from the right.
+        let packed = packed_row(&[5.0, 9.0, 200.0, 33.0], &columns);
+        assert_eq!(packed, [0b01000_101, 0b00001_110, 0b1]);
+    }
 }
