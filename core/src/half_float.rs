@@ -10,8 +10,9 @@ use crate::elu::{POWER_BITS, one_minus_exp2};
 use crate::kernel;
 use crate::layer::Layer;
 use crate::little_endian::{i32s, u32s};
-use crate::manifest::{CODE_LAYER, TIME_LAYER};
+use crate::manifest::{CODE_LAYER, GATE_MAX, TIME_LAYER};
 use crate::model::Model;
+use crate::packing::BLOCK_ROWS;
 use crate::pose::Pose;
 use crate::time_embedding::{FramePosition, sinusoids};
 use crate::workspace::FloatBuffers;
@@ -25,7 +26,13 @@ pub(crate) fn fold(model: &Model<'_>, buffers: &mut FloatBuffers<'_>, code: &Cod
     for (place, &value) in buffers.front.iter_mut().zip(&code.values) {
         *place = f32::from(value) * unit;
     }
-    dense(layer, floats(layer.bias), buffers.front, |row, sum| set(buffers.folded, row, sum));
+    let starts = BLOCK_ROWS * model.start_blocks();
+    dense(layer, floats(layer.bias), buffers.front, |row, sum| {
+        // Comparisons and not `clamp`, which panics where it cannot see that its bounds are in order.
+        let gate = if sum > 0.0 { sum } else { 0.0 };
+        let gate = if gate < GATE_MAX as f32 { gate } else { GATE_MAX as f32 };
+        set(buffers.folded, row, if row < starts { sum } else { gate });
+    });
 }
 
 /// Decodes one pose.
@@ -46,7 +53,11 @@ pub(crate) fn decode(
     }
     observe(Stage::TimeEmbedding);
     let starts = buffers.folded.iter().copied();
-    dense(time_half, starts, front, |row, sum| set(back, row, elu(sum)));
+    let mut gates = match model.manifest().has_gates() {
+        true => buffers.folded.get(BLOCK_ROWS * model.start_blocks()..).unwrap_or_default(),
+        false => &[],
+    };
+    activate(time_half, starts, front, back, &mut gates);
     let mut index = TIME_LAYER;
     observe(Stage::Layer(index));
     while let Some(layer) = &model.layer(index + 1) {
@@ -56,10 +67,30 @@ pub(crate) fn decode(
             write_pose(layer, front, pose);
             break;
         }
-        dense(layer, floats(layer.bias), front, |row, sum| set(back, row, elu(sum)));
+        activate(layer, floats(layer.bias), front, back, &mut gates);
         observe(Stage::Layer(index));
     }
     observe(Stage::Output);
+}
+
+/// `output = ELU(gate · (weights · input + start))`; takes the layer's gates off the front, if there are any.
+fn activate(
+    layer: &Layer<'_>,
+    starts: impl Iterator<Item = f32>,
+    input: &[f32],
+    output: &mut [f32],
+    gates: &mut &[f32],
+) {
+    match gates.split_at_checked(layer.shape.rows_filled()) {
+        Some((own, rest)) if !own.is_empty() => {
+            *gates = rest;
+            dense(layer, starts, input, |row, sum| {
+                let gate = own.get(row).copied().unwrap_or(0.0);
+                set(output, row, elu(sum * gate));
+            });
+        }
+        _ => dense(layer, starts, input, |row, sum| set(output, row, elu(sum))),
+    }
 }
 
 fn write_pose(layer: &Layer<'_>, input: &[f32], pose: &mut Pose) {

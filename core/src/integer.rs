@@ -30,13 +30,36 @@ pub(crate) fn fold<const FRAMES: usize>(
     let back = buffers.back.as_flattened_mut();
     store_code(code_half, &code.values, front, back);
     let room = model.time_room();
+    let starts = model.start_blocks();
     let rows = code_half.blocks().zip(code_half.biases()).zip(code_half.requantizers());
-    for (folded, ((block, bias), requantizers)) in buffers.folded.iter_mut().zip(rows) {
+    let places = buffers.folded.iter_mut().enumerate();
+    for ((index, folded), ((block, bias), requantizers)) in places.zip(rows) {
+        let (min, max) = if index < starts { (-room, room) } else { (0, GATE_ONE) };
         let sums = code_products(code_half, block, front, back, bias);
         let scaled = requantizers.iter().zip(sums).map(|(scale, sum)| scale.apply(sum));
         for (folded, scaled) in folded.iter_mut().zip(scaled) {
             // Not `clamp`, which panics where it cannot see that its bounds are in order.
-            *folded = scaled.max(-room).min(room);
+            *folded = scaled.max(min).min(max);
+        }
+    }
+    if model.manifest().has_gates() {
+        gate_scales(model, buffers.folded.get_mut(starts..).unwrap_or_default());
+    }
+}
+
+/// 1 in the format of gates, which stands for `manifest::GATE_MAX`.
+const GATE_ONE: i32 = 1 << 16;
+
+/// Turns the gates of a motion into the scales of its hidden layers. // (block of all hidden layers)
+#[inline(never)]
+fn gate_scales(model: &Model<'_>, gates: &mut [Sums]) {
+    let mut gates = gates.iter_mut();
+    let hidden = TIME_LAYER..model.manifest().layers.len().saturating_sub(1);
+    for layer in hidden.filter_map(|index| model.layer(index)) {
+        for (requantizers, gates) in layer.requantizers().zip(gates.by_ref()) {
+            for (scale, gate) in requantizers.into_iter().zip(gates) {
+                *gate = scale.gated(gate.cast_unsigned()).to_bits().cast_signed();
+            }
         }
     }
 }
@@ -88,7 +111,11 @@ pub(crate) fn decode<const FRAMES: usize>(
         return;
     };
     let (mut front, mut back) = (&mut *buffers.front, &mut *buffers.back);
-    let folded = bytemuck::must_cast_slice(buffers.folded);
+    let folded: &[u8] = bytemuck::must_cast_slice(buffers.folded);
+    let mut gates = match model.manifest().has_gates() {
+        true => folded.get(4 * BLOCK_ROWS * model.start_blocks()..).unwrap_or_default(),
+        false => &[],
+    };
     let products = match time_table_rows(model, positions) {
         Some(rows) => Products::Stored(rows, model.manifest().time_table_shift),
         None => {
@@ -98,7 +125,7 @@ pub(crate) fn decode<const FRAMES: usize>(
     };
     observe(Stage::TimeEmbedding);
     let mut index = TIME_LAYER;
-    activate(time_half, folded, products, next, back);
+    activate(&time_half.gated(&mut gates), folded, products, next, back);
     observe(Stage::Layer(index));
     while let Some(layer) = model.layer(index + 1) {
         index += 1;
@@ -108,6 +135,7 @@ pub(crate) fn decode<const FRAMES: usize>(
             write_poses(&layer, input, poses);
             break;
         };
+        let layer = layer.gated(&mut gates);
         activate(&layer, layer.bias, Products::Of(input), next, back);
         observe(Stage::Layer(index));
     }

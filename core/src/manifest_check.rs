@@ -75,7 +75,7 @@ fn check_shapes(manifest: &Manifest<'_>) -> Result<(), BlobError> {
     {
         return bad("empty layer", index);
     }
-    if code_layer.input_count != code_count || code_layer.output_count != time_layer.output_count {
+    if code_layer.input_count != code_count || !manifest.code_rows_suit() {
         return bad("shape of layer", CODE_LAYER);
     }
     if time_layer.input_count != 2 * manifest.frequency_count {

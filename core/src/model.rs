@@ -17,6 +17,7 @@ use crate::manifest::{
     TensorKind, tensor_plan,
 };
 use crate::manifest_check;
+use crate::packing::BLOCK_ROWS;
 use crate::sampler::Sampler;
 use crate::time_embedding::FramePosition;
 
@@ -381,7 +382,12 @@ impl<'a> Model<'a> {
         i32::MAX - self.time_products_max
     }
 
-    /// Multiply-accumulates to begin a motion (the code half of layer 1).
+    /// Blocks of the code half that layer 1 starts with; gates follow.
+    pub(crate) fn start_blocks(&self) -> usize {
+        self.manifest.layers.get(TIME_LAYER).map_or(0, |shape| shape.rows_filled() / BLOCK_ROWS)
+    }
+
+    /// Multiply-accumulates to begin a motion (the code half of layer 1, and the gates).
     pub fn multiply_accumulates_per_motion(&self) -> u64 {
         self.manifest.layers.get(CODE_LAYER).map_or(0, multiply_accumulates)
     }
