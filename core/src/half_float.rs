@@ -26,13 +26,21 @@ pub(crate) fn fold(model: &Model<'_>, buffers: &mut FloatBuffers<'_>, code: &Cod
     for (place, &value) in buffers.front.iter_mut().zip(&code.values) {
         *place = f32::from(value) * unit;
     }
-    let starts = BLOCK_ROWS * model.start_blocks();
+    let (starts, phases) = (BLOCK_ROWS * model.start_blocks(), model.manifest().phase_row());
     dense(layer, floats(layer.bias), buffers.front, |row, sum| {
-        // Comparisons and not `clamp`, which panics where it cannot see that its bounds are in order.
-        let gate = if sum > 0.0 { sum } else { 0.0 };
-        let gate = if gate < GATE_MAX as f32 { gate } else { GATE_MAX as f32 };
-        set(buffers.folded, row, if row < starts { sum } else { gate });
+        let folded = match row {
+            _ if (starts..phases).contains(&row) => gate_of(sum),
+            _ => sum,
+        };
+        set(buffers.folded, row, folded);
     });
+}
+
+/// A gate from its row, a share of the largest.
+fn gate_of(row: f32) -> f32 {
+    // Comparisons and not `clamp`, which panics where it cannot see that its bounds are in order.
+    let share = if row > 0.0 { row } else { 0.0 };
+    (if share < 1.0 { share } else { 1.0 }) * GATE_MAX as f32
 }
 
 /// Decodes one pose.
@@ -47,8 +55,14 @@ pub(crate) fn decode(
         return;
     };
     let (mut front, mut back) = (&mut *buffers.front, &mut *buffers.back);
+    let mut phases = match model.manifest().has_phases() {
+        true => buffers.folded.get(model.manifest().phase_row()..).unwrap_or_default().iter(),
+        false => [].iter(),
+    };
     for (pair, step) in front.chunks_exact_mut(2).zip(u32s(model.frequencies)) {
-        let values = sinusoids(position, step).map(|q15| q15 as f32 * (1.0 / 32_767.0));
+        // Turns in Q16: the whole ones fall off.
+        let phase = phases.next().map_or(0, |&turns| (turns * 65_536.0) as i32 as u32) << 16;
+        let values = sinusoids(position, step, phase).map(|q15| q15 as f32 * (1.0 / 32_767.0));
         pair.iter_mut().zip(values).for_each(|(place, value)| *place = value);
     }
     observe(Stage::TimeEmbedding);

@@ -14,7 +14,7 @@ use crate::model::Model;
 use crate::packing::BLOCK_ROWS;
 use crate::pose::Pose;
 use crate::requantize::Requantizer;
-use crate::time_embedding::{FramePosition, stored_sinusoids};
+use crate::time_embedding::{FramePosition, turned_sinusoids};
 use crate::workspace::Buffers;
 
 /// `folded = weights · code + bias`, in accumulators of the time half.
@@ -31,10 +31,15 @@ pub(crate) fn fold<const FRAMES: usize>(
     store_code(code_half, &code.values, front, back);
     let room = model.time_room();
     let starts = model.start_blocks();
+    let phases = model.manifest().phase_row() / BLOCK_ROWS;
     let rows = code_half.blocks().zip(code_half.biases()).zip(code_half.requantizers());
     let places = buffers.folded.iter_mut().enumerate();
     for ((index, folded), ((block, bias), requantizers)) in places.zip(rows) {
-        let (min, max) = if index < starts { (-room, room) } else { (0, GATE_ONE) };
+        let (min, max) = match index {
+            _ if index < starts => (-room, room),
+            _ if index < phases => (0, GATE_ONE),
+            _ => (i32::MIN, i32::MAX),
+        };
         let sums = code_products(code_half, block, front, back, bias);
         let scaled = requantizers.iter().zip(sums).map(|(scale, sum)| scale.apply(sum));
         for (folded, scaled) in folded.iter_mut().zip(scaled) {
@@ -119,7 +124,7 @@ pub(crate) fn decode<const FRAMES: usize>(
     let products = match time_table_rows(model, positions) {
         Some(rows) => Products::Stored(rows, model.manifest().time_table_shift),
         None => {
-            embed(model, time_half, positions, front);
+            embed(model, time_half, phases_of(model, folded), positions, front);
             Products::Of(inputs_of(time_half, front))
         }
     };
@@ -152,7 +157,7 @@ pub(crate) fn time_products(
     let Some(time_half) = &model.layer(TIME_LAYER) else {
         return;
     };
-    embed(model, time_half, [position], buffers.front);
+    embed(model, time_half, &[], [position], buffers.front);
     for block in time_half.blocks() {
         let mut sums = [[0; 4]];
         accumulate_frames(time_half, block, inputs_of(time_half, buffers.front), &mut sums);
@@ -256,6 +261,7 @@ fn write_poses<const FRAMES: usize>(
 fn embed<const FRAMES: usize>(
     model: &Model<'_>,
     time_half: &Layer<'_>,
+    phases: &[u8],
     positions: [FramePosition; FRAMES],
     output: &mut [[Quad; FRAMES]],
 ) {
@@ -263,13 +269,26 @@ fn embed<const FRAMES: usize>(
     let quads = time_half.shape.columns_filled() / 4;
     for (frame, position) in positions.into_iter().enumerate() {
         let mut steps = u32s(model.frequencies);
+        let mut phases = u32s(phases);
         for index in 0..quads {
-            let mut pair =
-                || steps.next().map_or([0; 2], |step| stored_sinusoids(format, position, step));
+            let mut pair = || {
+                // Turns in Q16: the whole ones fall off.
+                let phase = phases.next().unwrap_or(0) << 16;
+                let turned = |step| turned_sinusoids(format, position, step, phase);
+                steps.next().map_or([0; 2], turned)
+            };
             let ([sine_a, cosine_a], [sine_b, cosine_b]) = (pair(), pair());
             let values = [sine_a, cosine_a, sine_b, cosine_b];
             store_frame(time_half.order, output, index, frame, values);
         }
+    }
+}
+
+/// Phases of the motion that was started, i32; none where the model has none.
+fn phases_of<'b>(model: &Model<'_>, folded: &'b [u8]) -> &'b [u8] {
+    match model.manifest().has_phases() {
+        true => folded.get(4 * model.manifest().phase_row()..).unwrap_or_default(),
+        false => &[],
     }
 }
 

@@ -207,21 +207,36 @@ impl Manifest<'_> {
 impl Manifest<'_> {
     /// Whether the decoder has gates: the code half then has a row for each behind those of layer 1.
     ///
-    /// A gate multiplies the sum of a hidden unit by what a row of the code makes of a motion's code, between 0 and
-    /// [`GATE_MAX`]. Rows come layer after layer, each layer's filled up to a multiple of 4, layer 1's own too.
+    /// A gate multiplies the sum of a hidden unit by what a row of the code half makes of a motion's code: 0 to 1 in
+    /// Q0.16, times [`GATE_MAX`] (in `f16` 0 to 1). Rows come layer after layer, each layer's filled up to a multiple
+    /// of 4, layer 1's own too.
     pub fn has_gates(&self) -> bool {
-        let rows = |index: usize| self.layers.get(index).map_or(0, |shape| shape.output_count);
-        rows(CODE_LAYER) != rows(TIME_LAYER)
+        self.rows_of(CODE_LAYER) != self.rows_of(TIME_LAYER)
     }
 
-    /// Outputs of the code half: those of layer 1, or with gates those and as many as there are hidden units.
-    pub(crate) fn code_rows_suit(&self) -> bool {
+    /// Whether every frequency has a phase besides: a row of the code half behind the gates, filled up like them, in
+    /// turns (Q16).
+    pub fn has_phases(&self) -> bool {
+        self.has_gates() && self.rows_of(CODE_LAYER) > self.phase_row()
+    }
+
+    /// The code half's row of the first phase.
+    pub(crate) fn phase_row(&self) -> usize {
         let hidden = self.layers.len().saturating_sub(1);
         let filled = |shape: &LayerShape| shape.rows_filled();
         let gates: usize = self.layers.iter().take(hidden).skip(TIME_LAYER).map(filled).sum();
-        let first = self.layers.get(TIME_LAYER).map_or(0, filled);
-        let rows = self.layers.get(CODE_LAYER).map_or(0, |shape| shape.output_count.into());
-        !self.has_gates() || rows == first + gates
+        self.layers.get(TIME_LAYER).map_or(0, filled) + gates
+    }
+
+    /// Outputs of the code half: those of layer 1, or those and the gates, or those and gates and phases.
+    pub(crate) fn code_rows_suit(&self) -> bool {
+        let phases = usize::from(self.frequency_count).next_multiple_of(4);
+        let rows = self.rows_of(CODE_LAYER);
+        !self.has_gates() || rows == self.phase_row() || rows == self.phase_row() + phases
+    }
+
+    fn rows_of(&self, index: usize) -> usize {
+        self.layers.get(index).map_or(0, |shape| usize::from(shape.output_count))
     }
 }
 
@@ -332,7 +347,7 @@ pub(crate) const INTERVAL_BYTES: usize = 16;
 pub(crate) const MEMBER_BYTES: usize = 4;
 /// Index of the code half of layer 1 in [`Manifest::layers`].
 pub const CODE_LAYER: usize = 0;
-/// Largest gate: what a gate row's 1 in Q0.16, or 1.0 in `f16` times this, stands for.
+/// Largest gate: what the 1 of a gate's row stands for.
 pub const GATE_MAX: u32 = 2;
 /// Index of the time half of layer 1 in [`Manifest::layers`].
 pub const TIME_LAYER: usize = 1;

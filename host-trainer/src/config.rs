@@ -17,6 +17,7 @@ use toml::{Table, Value};
 
 use crate::dataset::Standardization;
 use crate::error::{Error, Result};
+use crate::float_model::Modulation;
 use crate::mixture::MixtureConfig;
 use crate::represent::Representation;
 
@@ -152,6 +153,9 @@ section! {
     DecoderConfig {
         /// Units of every hidden layer.
         hidden_widths: Vec<usize>,
+        /// What besides layer 1 follows the code. None stays out of the canonical text, as `hold_out` does.
+        #[serde(default, skip_serializing_if = "Modulation::is_none")]
+        modulation: Modulation,
     }
 }
 
