@@ -130,8 +130,8 @@ mod tests {
     use crate::manifest::{Packing, SamplerKind};
     use crate::random::Pcg32;
     use crate::specimen::{
-        specimen, specimen_modulated, specimen_packed, specimen_with_table_and_phases,
-        specimen_with_time_table,
+        GATED_ROWS, TURNED_ROWS, specimen, specimen_modulated, specimen_packed,
+        specimen_with_table_and_phases, specimen_with_time_table,
     };
     use crate::{ActionId, NumberFormat, PairDecoder, PairWorkspace};
 
@@ -208,11 +208,24 @@ mod tests {
     }
 
     #[test]
+    fn code_half_with_rows_that_are_neither_gates_nor_phases_is_rejected() {
+        for format in NumberFormat::ALL.into_iter().filter(|format| format.is_built()) {
+            for rows in 1..40 {
+                let blob = specimen_modulated(format, rows);
+                let expected = [6, GATED_ROWS, TURNED_ROWS].contains(&rows);
+                let error = BlobError::BadField { field: "shape of layer", value: 0 };
+                let found = Model::from_bytes(&blob).map(|_| ());
+                assert_eq!(found, if expected { Ok(()) } else { Err(error) }, "{rows}");
+            }
+        }
+    }
+
+    #[test]
     fn modulated_poses_never_change() {
         let position = FramePosition::from_bits(98_765);
         let poses = [NumberFormat::W8A16, NumberFormat::W8A8, NumberFormat::W4A8].map(|format| {
-            [false, true]
-                .map(|phases| pose_of_width::<32>(&specimen_modulated(format, phases), position))
+            [GATED_ROWS, TURNED_ROWS]
+                .map(|rows| pose_of_width::<32>(&specimen_modulated(format, rows), position))
         });
         let channels = poses.each_ref().map(|pair| pair.each_ref().map(|pose| pose.channels()));
         assert_eq!(
@@ -232,7 +245,7 @@ mod tests {
     fn pair_of_modulated_poses_are_those_of_two_single_decodings() {
         let positions = [98_765, 3 << 16].map(FramePosition::from_bits);
         for format in [NumberFormat::W8A16, NumberFormat::W8A8] {
-            let blob = specimen_modulated(format, true);
+            let blob = specimen_modulated(format, TURNED_ROWS);
             let model = Model::from_bytes(&blob).unwrap();
             let mut workspace = PairWorkspace::<28>::new();
             let mut decoder = PairDecoder::new(&model, &mut workspace).unwrap();
@@ -245,7 +258,7 @@ mod tests {
 
     #[test]
     fn workspace_must_hold_the_gates_too() {
-        let blob = specimen_modulated(NumberFormat::W8A16, false);
+        let blob = specimen_modulated(NumberFormat::W8A16, GATED_ROWS);
         let model = Model::from_bytes(&blob).unwrap();
         let error = Decoder::new(&model, &mut Workspace::<23>::new()).unwrap_err();
         assert_eq!(error, BlobError::WorkspaceTooSmall { width: 23, needed: 24 });

@@ -7,8 +7,8 @@
 //! Out: factors and angles that stay the same for all its frames, so that a device folds them once a motion and a pose
 //! costs no multiplication more.
 //!
-//! Why here: at equal weights and steps, gates and phases together lowered the error of a pose of HumanAct12 by a sixth
-//! (47 k... see ARCHITECTURE.md); clips of an action differ in tempo and in where they start, which is what they say.
+//! Why here: they lowered the error of a pose of HumanAct12 by a fifth at about equal bytes (ARCHITECTURE.md, "Gates and
+//! phases").
 //!
 //! Source: Perez et al., AAAI 2018 (FiLM), here bounded, without shifts, and before the activation.
 
@@ -61,7 +61,7 @@ impl ModelShape<'_> {
         }
     }
 
-    /// Gates start at 1, whatever the code; phases at random, so that codes of equal mean can part.
+    /// Gates start at 1, whatever the code; phases at random, as any layer.
     pub(super) fn random_modulation(&self, rng: &mut impl Rng) -> Option<DenseLayer> {
         let code_count = self.sequence_code_count + self.action_code_count;
         let rows = self.modulation_rows();
