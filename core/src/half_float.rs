@@ -12,7 +12,6 @@ use crate::layer::Layer;
 use crate::little_endian::{i32s, u32s};
 use crate::manifest::{CODE_LAYER, GATE_MAX, TIME_LAYER};
 use crate::model::Model;
-use crate::packing::BLOCK_ROWS;
 use crate::pose::Pose;
 use crate::time_embedding::{FramePosition, sinusoids};
 use crate::workspace::FloatBuffers;
@@ -26,7 +25,7 @@ pub(crate) fn fold(model: &Model<'_>, buffers: &mut FloatBuffers<'_>, code: &Cod
     for (place, &value) in buffers.front.iter_mut().zip(&code.values) {
         *place = f32::from(value) * unit;
     }
-    let (starts, phases) = (BLOCK_ROWS * model.start_blocks(), model.manifest().phase_row());
+    let (starts, phases) = (model.manifest().gate_row(), model.manifest().phase_row());
     dense(layer, floats(layer.bias), buffers.front, |row, sum| {
         let folded = match row {
             _ if (starts..phases).contains(&row) => gate_of(sum),
@@ -68,7 +67,7 @@ pub(crate) fn decode(
     observe(Stage::TimeEmbedding);
     let starts = buffers.folded.iter().copied();
     let mut gates = match model.manifest().has_gates() {
-        true => buffers.folded.get(BLOCK_ROWS * model.start_blocks()..).unwrap_or_default(),
+        true => buffers.folded.get(model.manifest().gate_row()..).unwrap_or_default(),
         false => &[],
     };
     activate(time_half, starts, front, back, &mut gates);

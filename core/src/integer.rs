@@ -30,7 +30,7 @@ pub(crate) fn fold<const FRAMES: usize>(
     let back = buffers.back.as_flattened_mut();
     store_code(code_half, &code.values, front, back);
     let room = model.time_room();
-    let starts = model.start_blocks();
+    let starts = model.manifest().gate_row() / BLOCK_ROWS;
     let phases = model.manifest().phase_row() / BLOCK_ROWS;
     let rows = code_half.blocks().zip(code_half.biases()).zip(code_half.requantizers());
     let places = buffers.folded.iter_mut().enumerate();
@@ -118,7 +118,7 @@ pub(crate) fn decode<const FRAMES: usize>(
     let (mut front, mut back) = (&mut *buffers.front, &mut *buffers.back);
     let folded: &[u8] = bytemuck::must_cast_slice(buffers.folded);
     let mut gates = match model.manifest().has_gates() {
-        true => folded.get(4 * BLOCK_ROWS * model.start_blocks()..).unwrap_or_default(),
+        true => folded.get(4 * model.manifest().gate_row()..).unwrap_or_default(),
         false => &[],
     };
     let products = match time_table_rows(model, positions) {

@@ -220,12 +220,17 @@ impl Manifest<'_> {
         self.has_gates() && self.rows_of(CODE_LAYER) > self.phase_row()
     }
 
+    /// The code half's row of the first gate, behind those of layer 1.
+    pub(crate) fn gate_row(&self) -> usize {
+        self.layers.get(TIME_LAYER).map_or(0, LayerShape::rows_filled)
+    }
+
     /// The code half's row of the first phase.
     pub(crate) fn phase_row(&self) -> usize {
         let hidden = self.layers.len().saturating_sub(1);
         let filled = |shape: &LayerShape| shape.rows_filled();
         let gates: usize = self.layers.iter().take(hidden).skip(TIME_LAYER).map(filled).sum();
-        self.layers.get(TIME_LAYER).map_or(0, filled) + gates
+        self.gate_row() + gates
     }
 
     /// Outputs of the code half: those of layer 1, or those and the gates, or those and gates and phases.

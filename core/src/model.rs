@@ -17,7 +17,6 @@ use crate::manifest::{
     TensorKind, tensor_plan,
 };
 use crate::manifest_check;
-use crate::packing::BLOCK_ROWS;
 use crate::sampler::Sampler;
 use crate::time_embedding::FramePosition;
 
@@ -380,11 +379,6 @@ impl<'a> Model<'a> {
     /// Largest magnitude at which a sum of the time half can start without ever overflowing.
     pub(crate) fn time_room(&self) -> i32 {
         i32::MAX - self.time_products_max
-    }
-
-    /// Blocks of the code half that layer 1 starts with; gates follow.
-    pub(crate) fn start_blocks(&self) -> usize {
-        self.manifest.layers.get(TIME_LAYER).map_or(0, |shape| shape.rows_filled() / BLOCK_ROWS)
     }
 
     /// Multiply-accumulates to begin a motion (the code half of layer 1, and the gates).

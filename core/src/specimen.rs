@@ -27,8 +27,8 @@ pub fn specimen_packed(format: NumberFormat, kind: SamplerKind, packing: Packing
     emit(&manifest(format, kind, packing), |_| None)
 }
 
-/// Rows of the specimen's code half with gates: of layer 1 and of two hidden layers' gates, each filled up to a multiple
-/// of four.
+/// Rows of the specimen's code half with gates: of layer 1 and of two hidden layers' gates, each filled up to a
+/// multiple of four.
 pub const GATED_ROWS: u16 = 8 + 8 + 8;
 /// The same with phases.
 pub const TURNED_ROWS: u16 = GATED_ROWS + 4;

@@ -7,8 +7,8 @@
 //! Out: factors and angles that stay the same for all its frames, so that a device folds them once a motion and a pose
 //! costs no multiplication more.
 //!
-//! Why here: they lowered the error of a pose of HumanAct12 by a fifth at about equal bytes (ARCHITECTURE.md, "Gates and
-//! phases").
+//! Why here: they lowered the error of a pose of HumanAct12 by a fifth at about equal bytes; see "Gates and phases" in
+//! ARCHITECTURE.md.
 //!
 //! Source: Perez et al., AAAI 2018 (FiLM), here bounded, without shifts, and before the activation.
 

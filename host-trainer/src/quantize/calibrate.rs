@@ -30,7 +30,7 @@ const CLIP_COUNT_MAX: usize = 300;
 /// Frames of each case, evenly spaced over the clip.
 const FRAME_COUNT: usize = 8;
 
-/// Every clip's own code, and a draw from the mixture for its action and length.
+/// Every clip's own code, and a draw from the mixture for its action and length; more of them where clips are few.
 ///
 /// # Errors
 /// Those of [`MixtureSet::sample`]; none for the mixtures of the same dataset.
@@ -42,18 +42,24 @@ pub fn calibration_cases(
     seed: u64,
 ) -> Result<Vec<CalibrationCase>> {
     let stride = dataset.clips.len().div_ceil(CLIP_COUNT_MAX).max(1);
+    let draws_per_clip = (CLIP_COUNT_MAX / dataset.clips.len().max(1)).max(1);
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let mut cases = Vec::new();
     for (row, clip) in dataset.clips.iter().enumerate().step_by(stride) {
         let last = (clip.frame_count - 1) as f64;
         let frames: Vec<f64> =
             (0..FRAME_COUNT).map(|i| last * i as f64 / (FRAME_COUNT - 1) as f64).collect();
-        let drawn = mixtures.sample(clip.action, clip.frame_count, &mut random)?;
-        let drawn: Vec<f32> = drawn.into_iter().map(|value| value as f32).collect();
-        for sequence_code in [sequence_codes.mean_of(row), &drawn] {
-            let code = [sequence_code, action_codes.mean_of(clip.action)].concat();
-            cases.push(CalibrationCase { code, frames: frames.clone() });
+        let action_code = action_codes.mean_of(clip.action);
+        let own = sequence_codes.mean_of(row).to_vec();
+        let mut codes = vec![own];
+        for _ in 0..draws_per_clip {
+            let drawn = mixtures.sample(clip.action, clip.frame_count, &mut random)?;
+            codes.push(drawn.into_iter().map(|value| value as f32).collect());
         }
+        cases.extend(codes.into_iter().map(|sequence_code| CalibrationCase {
+            code: [sequence_code.as_slice(), action_code].concat(),
+            frames: frames.clone(),
+        }));
     }
     Ok(cases)
 }

@@ -73,7 +73,7 @@ impl Adam {
     /// Moves all layers by their gradient, scaled by `gradient_scale`.
     pub fn step_decoder<'l>(
         &self,
-        layers: impl Iterator<Item = &'l mut DenseLayer>,
+        layers: impl IntoIterator<Item = &'l mut DenseLayer>,
         gradient: &[DenseLayer],
         moments: &mut DecoderMoments,
         learning_rate: f64,
@@ -82,7 +82,7 @@ impl Adam {
         moments.step_count += 1;
         let factors = self.factors(moments.step_count, learning_rate, gradient_scale);
         for (((layer, gradient), first), second) in
-            layers.zip(gradient).zip(&mut moments.first).zip(&mut moments.second)
+            layers.into_iter().zip(gradient).zip(&mut moments.first).zip(&mut moments.second)
         {
             let (first_w, second_w) = (&mut first.weights, &mut second.weights);
             factors.step_parallel(&mut layer.weights, &gradient.weights, first_w, second_w);
@@ -166,7 +166,8 @@ impl StepFactors {
 
 impl DecoderMoments {
     /// Before the first step.
-    pub fn zeros<'l>(layers: impl Iterator<Item = &'l DenseLayer> + Clone) -> Self {
+    pub fn zeros<'l>(layers: impl IntoIterator<Item = &'l DenseLayer, IntoIter: Clone>) -> Self {
+        let layers = layers.into_iter();
         let zeros = || layers.clone().map(DenseLayer::zeros_like).collect();
         Self { first: zeros(), second: zeros(), step_count: 0 }
     }
@@ -213,8 +214,8 @@ mod tests {
         let mut layers = vec![DenseLayer::zeros(2, 1)];
         let mut gradient = layers.clone();
         gradient[0].weights = vec![3.0, -0.01];
-        let mut moments = DecoderMoments::zeros(layers.iter());
-        ADAM.step_decoder(layers.iter_mut(), &gradient, &mut moments, 0.1, 1.0);
+        let mut moments = DecoderMoments::zeros(&layers);
+        ADAM.step_decoder(&mut layers, &gradient, &mut moments, 0.1, 1.0);
         assert!((layers[0].weights[0] + 0.1).abs() < 1e-6);
         assert!((layers[0].weights[1] - 0.1).abs() < 1e-6);
     }
@@ -224,7 +225,7 @@ mod tests {
         let (mut value, mut first, mut second) = (0.5_f64, 0.0, 0.0);
         let mut layers = vec![DenseLayer::zeros(1, 1)];
         layers[0].weights[0] = 0.5;
-        let mut moments = DecoderMoments::zeros(layers.iter());
+        let mut moments = DecoderMoments::zeros(&layers);
         let mut gradient = layers.clone();
         for step in 1..=50 {
             let slope = (f64::from(step) * 0.7).sin();
@@ -233,7 +234,7 @@ mod tests {
             let corrected = second / (1.0 - 0.999_f64.powi(step));
             value -= 0.01 * first / (1.0 - 0.9_f64.powi(step)) / (corrected.sqrt() + 1e-8);
             gradient[0].weights[0] = slope as f32;
-            ADAM.step_decoder(layers.iter_mut(), &gradient, &mut moments, 0.01, 1.0);
+            ADAM.step_decoder(&mut layers, &gradient, &mut moments, 0.01, 1.0);
         }
         assert!((f64::from(layers[0].weights[0]) - value).abs() < 1e-5);
     }
