@@ -3,7 +3,9 @@
 
 use std::fs;
 
-use tests::{Program, assert_refused, golden_path, host_trainer, trained, workplace};
+use tests::{
+    Program, assert_refused, golden_path, host_trainer, trained, workplace, workplace_with_phases,
+};
 
 /// Exit codes of both programs.
 const WRONG_FLAGS: i32 = 2;
@@ -74,6 +76,13 @@ fn flags_that_no_run_can_have_are_refused() {
 }
 
 /// Binary16 blobs compute every frame.
+#[test]
+fn time_table_of_a_run_with_phases_is_refused() {
+    let folder = workplace_with_phases();
+    let outcome = host_trainer(folder.path(), "quantize turned --time-table 60 --out new.kara");
+    outcome.refused(3, &["--time-table", "gates-and-phases", "modulation = \"gates\""]);
+}
+
 #[test]
 fn time_table_without_integers_is_refused() {
     let folder = workplace();

@@ -9,7 +9,7 @@
 
 use std::fmt::Write;
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use firmware_sim::checkpoint::{Checkpoint, Group};
 use firmware_sim::compare::{Comparison, Options, compare};
@@ -19,25 +19,41 @@ use firmware_sim::reference::Reference;
 use indicatif::ProgressBar;
 use karakuri::{ActionId, Model, Pcg32};
 use tests::{
-    FLOAT_FORMAT, FORMATS, Motion, assert_golden, golden_blob, golden_path, motions, trained,
+    FLOAT_FORMAT, FORMATS, Motion, assert_golden, golden_blob, golden_path, host_trainer, motions,
+    trained, workplace_with_phases,
 };
 
-/// Least signal-to-noise ratio in dB, and largest error in degrees, for every servo together. Half of what was measured
-/// (47.2 dB and 0.092°, 40.4 dB and 0.399°, 24.3 dB and 1.79°, 74.1 dB and 0.005°), because training differs from
-/// machine to machine.
+/// Least signal-to-noise ratio in dB, and largest error in degrees, for every servo together, with gates and with
+/// phases. Half of what was measured, because training differs from machine to machine. `w8a8` cuts off what one draw in
+/// hundreds reaches where its gates are all wide open; that pose was 4.2° off, the next ones 0.3°.
 const BOUNDS: [(&str, f64, f64); 4] =
-    [("w8a16", 41.0, 0.2), ("w8a8", 34.0, 0.8), ("w4a8", 18.0, 3.6), ("f16", 68.0, 0.02)];
+    [("w8a16", 40.0, 0.5), ("w8a8", 28.0, 8.0), ("w4a8", 18.0, 8.0), ("f16", 66.0, 0.03)];
 
 #[test]
 fn every_format_stays_within_its_bound_after_training() {
-    let checkpoint = Checkpoint::read(&trained().run).expect("a run");
+    assert_bounds(&trained().run, |format| trained().blob(format));
+}
+
+#[test]
+fn every_format_stays_within_its_bound_where_frequencies_follow_the_code() {
+    let folder = workplace_with_phases();
+    for (format, _, _) in BOUNDS {
+        let line = format!("quantize turned --format {format} --out {format}-turned.kara");
+        host_trainer(folder.path(), &line).succeeded();
+    }
+    let blob = |format: &str| folder.path().join(format!("{format}-turned.kara"));
+    assert_bounds(&folder.path().join("turned"), blob);
+}
+
+fn assert_bounds(run: &Path, blob: impl Fn(&str) -> PathBuf) {
+    let checkpoint = Checkpoint::read(run).expect("a run");
     let options = Options { poses_per_clip: 8, draw_pose_count: 500, rows: Rows::PerKind };
     let mut table =
         "format  motions         poses   group        RMS       99 %        max   SNR dB\n"
             .to_owned();
     let mut broken = Vec::new();
     for (format, decibel_min, error_max) in BOUNDS {
-        let blob = fs::read(trained().blob(format)).expect("a blob");
+        let blob = fs::read(blob(format)).expect("a blob");
         let Comparison { training_clips, mixture_draws, .. } =
             compare(&checkpoint, &blob, options, &ProgressBar::hidden())
                 .expect("a blob of this run");

@@ -7,7 +7,7 @@ use std::path::Path;
 use firmware_sim::parity::POSE_COUNT_MIN;
 use tests::{
     FLOAT_FORMAT, GOLDEN_BLOBS, Outcome, Program, golden_path, host_trainer, repository, skip,
-    workplace,
+    workplace, workplace_with_phases,
 };
 
 /// `firmware-sim`'s exit code where QEMU or a cross-compiler is missing.
@@ -73,6 +73,20 @@ fn run_quantized(flags: &str) -> Option<Outcome> {
     let line = format!("quantize creature {flags} --out quantized.kara");
     host_trainer(folder.path(), &line).succeeded();
     run(&folder.path().join("quantized.kara"))
+}
+
+#[test]
+fn a_cortex_m4_turns_frequencies_as_the_host_does() {
+    let folder = workplace_with_phases();
+    for format in ["w8a16", "w8a8"] {
+        let line = format!("quantize turned --format {format} --out {format}-turned.kara");
+        host_trainer(folder.path(), &line).succeeded();
+        let Some(outcome) = run(&folder.path().join(format!("{format}-turned.kara"))) else {
+            return;
+        };
+        let parity = outcome.succeeded().json();
+        assert_eq!(parity["differences"]["bits_differing"], 0, "{parity}");
+    }
 }
 
 /// Never a wrong pose: the kernels in assembly would read such weights in another order.

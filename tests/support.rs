@@ -24,7 +24,7 @@ use tempfile::TempDir;
 pub use checksum::{CHECKSUM_FIELD, seal};
 pub use golden::{GOLDEN_BLOBS, Motion, assert_golden, golden_blob, golden_path, motions};
 pub use program::{Outcome, Program, assert_refused, firmware_sim, host_trainer};
-pub use trained::{FLOAT_FORMAT, FORMATS, Trained, trained, workplace};
+pub use trained::{FLOAT_FORMAT, FORMATS, Trained, trained, workplace, workplace_with_phases};
 
 /// Root of the repository.
 pub fn repository() -> PathBuf {

@@ -129,7 +129,10 @@ mod tests {
     use super::*;
     use crate::manifest::{Packing, SamplerKind};
     use crate::random::Pcg32;
-    use crate::specimen::{specimen, specimen_packed, specimen_with_time_table};
+    use crate::specimen::{
+        GATED_ROWS, TURNED_ROWS, specimen, specimen_modulated, specimen_packed,
+        specimen_with_table_and_phases, specimen_with_time_table,
+    };
     use crate::{ActionId, NumberFormat, PairDecoder, PairWorkspace};
 
     fn code_of(model: &Model<'_>) -> Code {
@@ -138,8 +141,12 @@ mod tests {
     }
 
     fn pose_of(blob: &[u8], position: FramePosition) -> Pose {
+        pose_of_width::<16>(blob, position)
+    }
+
+    fn pose_of_width<const WIDTH: usize>(blob: &[u8], position: FramePosition) -> Pose {
         let model = Model::from_bytes(blob).unwrap();
-        let mut workspace = Workspace::<16>::new();
+        let mut workspace = Workspace::<WIDTH>::new();
         let mut decoder = Decoder::new(&model, &mut workspace).unwrap();
         decoder.start(&code_of(&model));
         let mut pose = Pose::new();
@@ -198,6 +205,72 @@ mod tests {
             decoder.decode(positions, &mut poses);
             assert_eq!(poses, positions.map(|position| pose_of(&blob, position)));
         }
+    }
+
+    #[test]
+    fn code_half_with_rows_that_are_neither_gates_nor_phases_is_rejected() {
+        for format in NumberFormat::ALL.into_iter().filter(|format| format.is_built()) {
+            for rows in 1..40 {
+                let blob = specimen_modulated(format, rows);
+                let expected = [6, GATED_ROWS, TURNED_ROWS].contains(&rows);
+                let error = BlobError::BadField { field: "shape of layer", value: 0 };
+                let found = Model::from_bytes(&blob).map(|_| ());
+                assert_eq!(found, if expected { Ok(()) } else { Err(error) }, "{rows}");
+            }
+        }
+    }
+
+    #[test]
+    fn modulated_poses_never_change() {
+        let position = FramePosition::from_bits(98_765);
+        let poses = [NumberFormat::W8A16, NumberFormat::W8A8, NumberFormat::W4A8].map(|format| {
+            [GATED_ROWS, TURNED_ROWS]
+                .map(|rows| pose_of_width::<32>(&specimen_modulated(format, rows), position))
+        });
+        let channels = poses.each_ref().map(|pair| pair.each_ref().map(|pose| pose.channels()));
+        assert_eq!(
+            channels,
+            MODULATED_POSES.each_ref().map(|pair| pair.each_ref().map(|p| &p[..]))
+        );
+    }
+
+    // As above: printed when gates and phases were first made. // (w8a16, w8a8, w4a8)(gates, gates and phases)
+    const MODULATED_POSES: [[[i32; 4]; 2]; 3] = [
+        [[41098, -30722, 12789, -24472], [-33085, 15609, -18344, 18883]],
+        [[835618, -747193, -270722, 236843], [-299593, 1375414, 888632, -397442]],
+        [[93312, -3543, 356154, -853423], [225566, 5076, 1005694, -1678423]],
+    ];
+
+    #[test]
+    fn pair_of_modulated_poses_are_those_of_two_single_decodings() {
+        let positions = [98_765, 3 << 16].map(FramePosition::from_bits);
+        for format in [NumberFormat::W8A16, NumberFormat::W8A8] {
+            let blob = specimen_modulated(format, TURNED_ROWS);
+            let model = Model::from_bytes(&blob).unwrap();
+            let mut workspace = PairWorkspace::<28>::new();
+            let mut decoder = PairDecoder::new(&model, &mut workspace).unwrap();
+            decoder.start(&code_of(&model));
+            let mut poses = [Pose::new(), Pose::new()];
+            decoder.decode(positions, &mut poses);
+            assert_eq!(poses, positions.map(|position| pose_of_width::<28>(&blob, position)));
+        }
+    }
+
+    #[test]
+    fn workspace_must_hold_the_gates_too() {
+        let blob = specimen_modulated(NumberFormat::W8A16, GATED_ROWS);
+        let model = Model::from_bytes(&blob).unwrap();
+        let error = Decoder::new(&model, &mut Workspace::<23>::new()).unwrap_err();
+        assert_eq!(error, BlobError::WorkspaceTooSmall { width: 23, needed: 24 });
+    }
+
+    #[test]
+    fn time_table_of_a_model_with_phases_is_rejected() {
+        let rows = [std::vec![1; 8]];
+        let blob = specimen_with_table_and_phases(&rows);
+        let error = Model::from_bytes(&blob).unwrap_err();
+        let field = "time table of a model with phases";
+        assert_eq!(error, BlobError::BadField { field, value: 1 });
     }
 
     #[test]

@@ -10,7 +10,7 @@ use crate::elu::{POWER_BITS, one_minus_exp2};
 use crate::kernel;
 use crate::layer::Layer;
 use crate::little_endian::{i32s, u32s};
-use crate::manifest::{CODE_LAYER, TIME_LAYER};
+use crate::manifest::{CODE_LAYER, GATE_MAX, TIME_LAYER};
 use crate::model::Model;
 use crate::pose::Pose;
 use crate::time_embedding::{FramePosition, sinusoids};
@@ -25,7 +25,21 @@ pub(crate) fn fold(model: &Model<'_>, buffers: &mut FloatBuffers<'_>, code: &Cod
     for (place, &value) in buffers.front.iter_mut().zip(&code.values) {
         *place = f32::from(value) * unit;
     }
-    dense(layer, floats(layer.bias), buffers.front, |row, sum| set(buffers.folded, row, sum));
+    let (starts, phases) = (model.manifest().gate_row(), model.manifest().phase_row());
+    dense(layer, floats(layer.bias), buffers.front, |row, sum| {
+        let folded = match row {
+            _ if (starts..phases).contains(&row) => gate_of(sum),
+            _ => sum,
+        };
+        set(buffers.folded, row, folded);
+    });
+}
+
+/// A gate from its row, a share of the largest.
+fn gate_of(row: f32) -> f32 {
+    // Comparisons and not `clamp`, which panics where it cannot see that its bounds are in order.
+    let share = if row > 0.0 { row } else { 0.0 };
+    (if share < 1.0 { share } else { 1.0 }) * GATE_MAX as f32
 }
 
 /// Decodes one pose.
@@ -40,13 +54,23 @@ pub(crate) fn decode(
         return;
     };
     let (mut front, mut back) = (&mut *buffers.front, &mut *buffers.back);
+    let mut phases = match model.manifest().has_phases() {
+        true => buffers.folded.get(model.manifest().phase_row()..).unwrap_or_default().iter(),
+        false => [].iter(),
+    };
     for (pair, step) in front.chunks_exact_mut(2).zip(u32s(model.frequencies)) {
-        let values = sinusoids(position, step).map(|q15| q15 as f32 * (1.0 / 32_767.0));
+        // Turns in Q16: the whole ones fall off.
+        let phase = phases.next().map_or(0, |&turns| (turns * 65_536.0) as i32 as u32) << 16;
+        let values = sinusoids(position, step, phase).map(|q15| q15 as f32 * (1.0 / 32_767.0));
         pair.iter_mut().zip(values).for_each(|(place, value)| *place = value);
     }
     observe(Stage::TimeEmbedding);
     let starts = buffers.folded.iter().copied();
-    dense(time_half, starts, front, |row, sum| set(back, row, elu(sum)));
+    let mut gates = match model.manifest().has_gates() {
+        true => buffers.folded.get(model.manifest().gate_row()..).unwrap_or_default(),
+        false => &[],
+    };
+    activate(time_half, starts, front, back, &mut gates);
     let mut index = TIME_LAYER;
     observe(Stage::Layer(index));
     while let Some(layer) = &model.layer(index + 1) {
@@ -56,10 +80,30 @@ pub(crate) fn decode(
             write_pose(layer, front, pose);
             break;
         }
-        dense(layer, floats(layer.bias), front, |row, sum| set(back, row, elu(sum)));
+        activate(layer, floats(layer.bias), front, back, &mut gates);
         observe(Stage::Layer(index));
     }
     observe(Stage::Output);
+}
+
+/// `output = ELU(gate · (weights · input + start))`; takes the layer's gates off the front, if there are any.
+fn activate(
+    layer: &Layer<'_>,
+    starts: impl Iterator<Item = f32>,
+    input: &[f32],
+    output: &mut [f32],
+    gates: &mut &[f32],
+) {
+    match gates.split_at_checked(layer.shape.rows_filled()) {
+        Some((own, rest)) if !own.is_empty() => {
+            *gates = rest;
+            dense(layer, starts, input, |row, sum| {
+                let gate = own.get(row).copied().unwrap_or(0.0);
+                set(output, row, elu(sum * gate));
+            });
+        }
+        _ => dense(layer, starts, input, |row, sum| set(output, row, elu(sum))),
+    }
 }
 
 fn write_pose(layer: &Layer<'_>, input: &[f32], pose: &mut Pose) {

@@ -14,7 +14,7 @@ use crate::model::Model;
 use crate::packing::BLOCK_ROWS;
 use crate::pose::Pose;
 use crate::requantize::Requantizer;
-use crate::time_embedding::{FramePosition, stored_sinusoids};
+use crate::time_embedding::{FramePosition, turned_sinusoids};
 use crate::workspace::Buffers;
 
 /// `folded = weights · code + bias`, in accumulators of the time half.
@@ -30,13 +30,41 @@ pub(crate) fn fold<const FRAMES: usize>(
     let back = buffers.back.as_flattened_mut();
     store_code(code_half, &code.values, front, back);
     let room = model.time_room();
+    let starts = model.manifest().gate_row() / BLOCK_ROWS;
+    let phases = model.manifest().phase_row() / BLOCK_ROWS;
     let rows = code_half.blocks().zip(code_half.biases()).zip(code_half.requantizers());
-    for (folded, ((block, bias), requantizers)) in buffers.folded.iter_mut().zip(rows) {
+    let places = buffers.folded.iter_mut().enumerate();
+    for ((index, folded), ((block, bias), requantizers)) in places.zip(rows) {
+        let (min, max) = match index {
+            _ if index < starts => (-room, room),
+            _ if index < phases => (0, GATE_ONE),
+            _ => (i32::MIN, i32::MAX),
+        };
         let sums = code_products(code_half, block, front, back, bias);
         let scaled = requantizers.iter().zip(sums).map(|(scale, sum)| scale.apply(sum));
         for (folded, scaled) in folded.iter_mut().zip(scaled) {
             // Not `clamp`, which panics where it cannot see that its bounds are in order.
-            *folded = scaled.max(-room).min(room);
+            *folded = scaled.max(min).min(max);
+        }
+    }
+    if model.manifest().has_gates() {
+        gate_scales(model, buffers.folded.get_mut(starts..).unwrap_or_default());
+    }
+}
+
+/// 1 in the format of gates, which stands for `manifest::GATE_MAX`.
+const GATE_ONE: i32 = 1 << 16;
+
+/// Turns the gates of a motion into the scales of its hidden layers. // (block of all hidden layers)
+#[inline(never)]
+fn gate_scales(model: &Model<'_>, gates: &mut [Sums]) {
+    let mut gates = gates.iter_mut();
+    let hidden = TIME_LAYER..model.manifest().layers.len().saturating_sub(1);
+    for layer in hidden.filter_map(|index| model.layer(index)) {
+        for (requantizers, gates) in layer.requantizers().zip(gates.by_ref()) {
+            for (scale, gate) in requantizers.into_iter().zip(gates) {
+                *gate = scale.gated(gate.cast_unsigned()).to_bits().cast_signed();
+            }
         }
     }
 }
@@ -88,17 +116,21 @@ pub(crate) fn decode<const FRAMES: usize>(
         return;
     };
     let (mut front, mut back) = (&mut *buffers.front, &mut *buffers.back);
-    let folded = bytemuck::must_cast_slice(buffers.folded);
+    let folded: &[u8] = bytemuck::must_cast_slice(buffers.folded);
+    let mut gates = match model.manifest().has_gates() {
+        true => folded.get(4 * model.manifest().gate_row()..).unwrap_or_default(),
+        false => &[],
+    };
     let products = match time_table_rows(model, positions) {
         Some(rows) => Products::Stored(rows, model.manifest().time_table_shift),
         None => {
-            embed(model, time_half, positions, front);
+            embed(model, time_half, phases_of(model, folded), positions, front);
             Products::Of(inputs_of(time_half, front))
         }
     };
     observe(Stage::TimeEmbedding);
     let mut index = TIME_LAYER;
-    activate(time_half, folded, products, next, back);
+    activate(&time_half.gated(&mut gates), folded, products, next, back);
     observe(Stage::Layer(index));
     while let Some(layer) = model.layer(index + 1) {
         index += 1;
@@ -108,6 +140,7 @@ pub(crate) fn decode<const FRAMES: usize>(
             write_poses(&layer, input, poses);
             break;
         };
+        let layer = layer.gated(&mut gates);
         activate(&layer, layer.bias, Products::Of(input), next, back);
         observe(Stage::Layer(index));
     }
@@ -124,7 +157,7 @@ pub(crate) fn time_products(
     let Some(time_half) = &model.layer(TIME_LAYER) else {
         return;
     };
-    embed(model, time_half, [position], buffers.front);
+    embed(model, time_half, &[], [position], buffers.front);
     for block in time_half.blocks() {
         let mut sums = [[0; 4]];
         accumulate_frames(time_half, block, inputs_of(time_half, buffers.front), &mut sums);
@@ -228,6 +261,7 @@ fn write_poses<const FRAMES: usize>(
 fn embed<const FRAMES: usize>(
     model: &Model<'_>,
     time_half: &Layer<'_>,
+    phases: &[u8],
     positions: [FramePosition; FRAMES],
     output: &mut [[Quad; FRAMES]],
 ) {
@@ -235,13 +269,26 @@ fn embed<const FRAMES: usize>(
     let quads = time_half.shape.columns_filled() / 4;
     for (frame, position) in positions.into_iter().enumerate() {
         let mut steps = u32s(model.frequencies);
+        let mut phases = u32s(phases);
         for index in 0..quads {
-            let mut pair =
-                || steps.next().map_or([0; 2], |step| stored_sinusoids(format, position, step));
+            let mut pair = || {
+                // Turns in Q16: the whole ones fall off.
+                let phase = phases.next().unwrap_or(0) << 16;
+                let turned = |step| turned_sinusoids(format, position, step, phase);
+                steps.next().map_or([0; 2], turned)
+            };
             let ([sine_a, cosine_a], [sine_b, cosine_b]) = (pair(), pair());
             let values = [sine_a, cosine_a, sine_b, cosine_b];
             store_frame(time_half.order, output, index, frame, values);
         }
+    }
+}
+
+/// Phases of the motion that was started, i32; none where the model has none.
+fn phases_of<'b>(model: &Model<'_>, folded: &'b [u8]) -> &'b [u8] {
+    match model.manifest().has_phases() {
+        true => folded.get(4 * model.manifest().phase_row()..).unwrap_or_default(),
+        false => &[],
     }
 }
 

@@ -106,6 +106,22 @@ impl<'a> Layer<'a> {
         Some(Self { shape, weights, group_scales, bias, scales, order, elu })
     }
 
+    /// The same layer with the scales of a motion's gates: the first of `words`, which are left with the others'.
+    ///
+    /// Nothing is gated where there are no words.
+    pub fn gated<'b>(self, words: &mut &'b [u8]) -> Layer<'b>
+    where
+        'a: 'b,
+    {
+        match words.split_at_checked(4 * self.shape.rows_filled()) {
+            Some((own, rest)) => {
+                *words = rest;
+                Layer { scales: own, ..self }
+            }
+            None => self,
+        }
+    }
+
     /// Weights and group scales, four rows at a time.
     pub fn blocks(&self) -> impl Iterator<Item = (&'a [u8], &'a [u8])> + use<'a> {
         let scale_bytes = self.shape.block_scale_bytes();

@@ -75,8 +75,11 @@ fn check_shapes(manifest: &Manifest<'_>) -> Result<(), BlobError> {
     {
         return bad("empty layer", index);
     }
-    if code_layer.input_count != code_count || code_layer.output_count != time_layer.output_count {
+    if code_layer.input_count != code_count || !manifest.code_rows_suit() {
         return bad("shape of layer", CODE_LAYER);
+    }
+    if manifest.has_phases() && manifest.time_table_frames != 0 {
+        return bad("time table of a model with phases", manifest.time_table_frames.into());
     }
     if time_layer.input_count != 2 * manifest.frequency_count {
         return bad("shape of layer", TIME_LAYER);

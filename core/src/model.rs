@@ -381,7 +381,7 @@ impl<'a> Model<'a> {
         i32::MAX - self.time_products_max
     }
 
-    /// Multiply-accumulates to begin a motion (the code half of layer 1).
+    /// Multiply-accumulates to begin a motion (the code half of layer 1, and the gates).
     pub fn multiply_accumulates_per_motion(&self) -> u64 {
         self.manifest.layers.get(CODE_LAYER).map_or(0, multiply_accumulates)
     }

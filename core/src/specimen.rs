@@ -37,6 +37,27 @@ pub fn specimen_packed(format: NumberFormat, kind: SamplerKind, packing: Packing
     emit(&manifest(format, kind, packing), |_| None)
 }
 
+/// Rows of the specimen's code half with gates: of layer 1 and of two hidden layers' gates, each filled up to a
+/// multiple of four.
+pub const GATED_ROWS: u16 = 8 + 8 + 8;
+/// The same with phases.
+pub const TURNED_ROWS: u16 = GATED_ROWS + 4;
+
+/// The specimen with another number of rows in its code half.
+pub fn specimen_modulated(format: NumberFormat, rows: u16) -> Vec<u8> {
+    let mut manifest = manifest(format, SamplerKind::ClipCodes, Packing::Tiles);
+    manifest.layers[CODE_LAYER].output_count = rows;
+    emit(&manifest, |_| None)
+}
+
+/// What no quantiser writes: phases, and a time table that does not know them.
+pub fn specimen_with_table_and_phases(rows: &[Vec<i16>]) -> Vec<u8> {
+    let mut manifest = manifest(NumberFormat::W8A16, SamplerKind::ClipCodes, Packing::Tiles);
+    manifest.layers[CODE_LAYER].output_count = TURNED_ROWS;
+    manifest.time_table_frames = rows.len() as u16;
+    emit(&manifest, |_| None)
+}
+
 /// The specimen with a time table of `rows` · 2^`shift`, four numbers a block.
 pub fn specimen_with_time_table(format: NumberFormat, rows: &[Vec<i16>], shift: u8) -> Vec<u8> {
     let mut manifest = manifest(format, SamplerKind::ClipCodes, Packing::Tiles);
@@ -224,6 +245,7 @@ mod tests {
         }
         for format in [NumberFormat::W8A16, NumberFormat::W8A8, NumberFormat::W4A8] {
             let name = format.name();
+            seeds.push((format!("{name}-gates"), specimen_modulated(format, TURNED_ROWS)));
             let rows = [vec![1; 8], vec![-1; 8], vec![i16::MAX; 8]];
             seeds.push((format!("{name}-rows"), specimen_packed(format, clips, Packing::Rows)));
             seeds.push((format!("{name}-table"), specimen_with_time_table(format, &rows, 3)));

@@ -60,16 +60,27 @@ impl FramePosition {
 /// `NumberFormat::sinusoid_one` is 1, nearest, ties up.
 #[inline]
 pub fn stored_sinusoids(format: NumberFormat, position: FramePosition, step: u32) -> [i32; 2] {
+    turned_sinusoids(format, position, step, 0)
+}
+
+/// The same, ahead by a phase (turns · 2^32).
+#[inline]
+pub(crate) fn turned_sinusoids(
+    format: NumberFormat,
+    position: FramePosition,
+    step: u32,
+    phase: u32,
+) -> [i32; 2] {
     let one = i32::from(format.sinusoid_one());
     // Exact for one = 32,767 up to the rounding of (q15 · 32767 + 2^14) / 2^15 back to q15.
     let stored = |q15: i32| if one == 32_767 { q15 } else { (q15 * one + (1 << 14)) >> 15 };
-    sinusoids(position, step).map(stored)
+    sinusoids(position, step, phase).map(stored)
 }
 
-/// `[sin, cos]` of the frequency that advances by `step` (turns · 2^32) per frame, in Q0.15.
+/// `[sin, cos]` of the frequency that advances by `step` (turns · 2^32) per frame, ahead by `phase`, in Q0.15.
 #[inline]
-pub(crate) fn sinusoids(position: FramePosition, step: u32) -> [i32; 2] {
-    sine_and_cosine_q15(position.phase(step))
+pub(crate) fn sinusoids(position: FramePosition, step: u32, phase: u32) -> [i32; 2] {
+    sine_and_cosine_q15(position.phase(step).wrapping_add(phase))
 }
 
 #[cfg(test)]
@@ -81,8 +92,9 @@ mod tests {
         for (pair, rate_rad) in [(0, 1.0), (1, 0.93), (2, 1e-4)] {
             let step = (rate_rad / core::f64::consts::TAU * 4_294_967_296.0) as u32;
             for bits in [0, 1 << 16, 470 << 16, (123 << 16) + 32_768, 4000 << 16] {
-                let output = sinusoids(FramePosition::from_bits(bits), step);
-                let angle = rate_rad * f64::from(bits) / 65_536.0;
+                let output = sinusoids(FramePosition::from_bits(bits), step, 1 << 30);
+                let quarter = core::f64::consts::FRAC_PI_2;
+                let angle = rate_rad * f64::from(bits) / 65_536.0 + quarter;
                 let [sine, cosine] = output.map(|x| f64::from(x) / 32_767.0);
                 assert!((sine - libm::sin(angle)).abs() < 4e-5, "pair {pair} at {bits}");
                 assert!((cosine - libm::cos(angle)).abs() < 4e-5, "pair {pair} at {bits}");

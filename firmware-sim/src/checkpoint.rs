@@ -35,6 +35,9 @@ pub struct Checkpoint {
     pub dataset: DatasetDescription,
     /// Layers of the decoder, first to last.
     pub layers: Vec<DenseLayer>,
+    /// Gates of the hidden units, layer after layer, then phases of the frequencies; `None` where neither follows the
+    /// code.
+    pub modulation: Option<DenseLayer>,
     /// β of every clip, the mean. // (clip, dimension)
     pub sequence_codes: Matrix,
     /// α of every action, the mean. // (action, dimension)
@@ -165,7 +168,8 @@ impl<'a> Source<'a> {
             path: self.path.to_owned(),
             config_hash: state.config_hash,
             dataset: self.json("dataset")?,
-            layers: self.layers()?,
+            layers: self.layers("decoder")?,
+            modulation: self.layers("modulation")?.pop(),
             sequence_codes: self.matrix("sequence_code.mean")?,
             action_codes: self.matrix("action_code.mean")?,
             frequencies_rad: self.numbers("frequencies_rad")?.1,
@@ -182,8 +186,8 @@ impl<'a> Source<'a> {
         })
     }
 
-    fn layers(&self) -> Result<Vec<DenseLayer>> {
-        let name = |index: usize, part: &str| format!("decoder.{index}.{part}");
+    fn layers(&self, prefix: &str) -> Result<Vec<DenseLayer>> {
+        let name = |index: usize, part: &str| format!("{prefix}.{index}.{part}");
         (0..)
             .take_while(|&index| self.tensors.tensor(&name(index, "weight")).is_ok())
             .map(|index| {
@@ -237,6 +241,23 @@ impl<'a> Source<'a> {
                 *width,
             )?;
             self.check_count(format!("biases of layer {index}"), layer.bias.len(), rows)?;
+        }
+        if let Some(modulation) = &checkpoint.modulation {
+            let gates: usize = widths[1..].iter().rev().skip(1).sum();
+            let phases = modulation.bias.len().saturating_sub(gates);
+            let code_count = sequence_codes.column_count + action_codes.column_count;
+            let most = if phases == 0 { 0 } else { checkpoint.frequencies_rad.len() };
+            self.check_count("gates and phases", modulation.bias.len(), gates + most)?;
+            self.check_count(
+                "rows of the modulation",
+                modulation.weights.rows().len(),
+                gates + most,
+            )?;
+            self.check_count(
+                "inputs of the modulation",
+                modulation.weights.column_count,
+                code_count,
+            )?;
         }
         let last = widths.last().copied().unwrap_or_default();
         self.check_count("layers, at least two", layers.len().min(2), 2)?;

@@ -34,10 +34,19 @@ impl<'a> Reference<'a> {
             return Vec::new();
         };
         let folded = fold(first, code);
-        let embeddings: Vec<_> = positions.iter().map(|&position| self.embed(position)).collect();
+        let modulation = self.checkpoint.modulation.as_ref().map(|layer| fold(layer, code));
+        let mut gates = modulation.as_deref();
+        // Hidden units are the outputs of all layers but the last.
+        let hidden = &self.checkpoint.layers[..rest.len()];
+        let unit_count = hidden.iter().map(|layer| layer.bias.len()).sum::<usize>();
+        let phases = modulation.as_deref().and_then(|rows| rows.get(unit_count..)).unwrap_or(&[]);
+        let embed = |&position: &f64| self.embed(position, phases);
+        let embeddings: Vec<_> = positions.iter().map(embed).collect();
         let time_rows = first.weights.rows().map(|row| &row[code.len()..]);
         let mut activations = multiply(time_rows, &folded, &embeddings);
         for layer in rest {
+            activations.iter_mut().for_each(|sums| apply_gates(sums, gates));
+            gates = gates.map(|rows| &rows[activations.first().map_or(0, Vec::len)..]);
             activations.iter_mut().flatten().for_each(elu);
             activations = multiply(layer.weights.rows(), &layer.bias, &activations);
         }
@@ -45,9 +54,11 @@ impl<'a> Reference<'a> {
         activations
     }
 
-    /// τ(t) = [sin(w_0 t), cos(w_0 t), sin(w_1 t), …].
-    fn embed(&self, position: f64) -> Vec<f64> {
-        let angles = self.checkpoint.frequencies_rad.iter().map(|frequency| frequency * position);
+    /// τ(t) = [sin(w_0 t + φ_0), cos(w_0 t + φ_0), sin(w_1 t + φ_1), …]; the phases φ are 0 where there are none.
+    fn embed(&self, position: f64, phases: &[f64]) -> Vec<f64> {
+        let phases = phases.iter().copied().chain(std::iter::repeat(0.0));
+        let frequencies = self.checkpoint.frequencies_rad.iter();
+        let angles = frequencies.zip(phases).map(|(rate, phase)| rate * position + phase);
         angles.flat_map(|angle| [angle.sin(), angle.cos()]).collect()
     }
 
@@ -59,7 +70,14 @@ impl<'a> Reference<'a> {
     }
 }
 
-/// Bias plus the code's share of layer 1. // (out)
+/// Each sum times its gate, 1 + row, between 0 and 2.
+fn apply_gates(sums: &mut [f64], rows: Option<&[f64]>) {
+    for (sum, row) in sums.iter_mut().zip(rows.unwrap_or_default()) {
+        *sum *= (1.0 + row).clamp(0.0, 2.0);
+    }
+}
+
+/// Bias plus the code's share of layer 1, or of gates and phases. // (out)
 fn fold(layer: &DenseLayer, code: &[f64]) -> Vec<f64> {
     let rows = layer.weights.rows().zip(&layer.bias);
     rows.map(|(row, bias)| bias + dot(&row[..code.len()], code)).collect()

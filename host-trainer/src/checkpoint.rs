@@ -2,8 +2,9 @@
 //!
 //! `RUN/checkpoint.safetensors` holds the tensors `decoder.{i}.weight` (out, in), `decoder.{i}.bias` (out),
 //! `sequence_code.mean`, `sequence_code.log_variance`, `action_code.mean`, `action_code.log_variance` (row, dimension)
-//! and `frequencies_rad` (pair, f64), the optimiser's moments under `adam.*`, and in its metadata `config` (TOML),
-//! `dataset` (JSON of `DatasetDescription`) and `state` (JSON of [`TrainState`]).
+//! and `frequencies_rad` (pair, f64), where there are gates `modulation.0.weight` (row, in) and `modulation.0.bias`, the
+//! optimiser's moments under `adam.*`, and in its metadata `config` (TOML), `dataset` (JSON of `DatasetDescription`)
+//! and `state` (JSON of [`TrainState`]).
 //!
 //! Under `adam.first.` and `adam.second.` the names above repeat; `adam.step_count.{decoder,sequence_code,action_code}`
 //! (u32, one a row for the tables) count the steps, and `adam.gradient.decoder.*` exists when the configuration sums
@@ -134,10 +135,10 @@ impl Checkpoint {
             CodeTable::constant(description.actions.len(), codes.action_dimensions, start);
         Self {
             optimizer: OptimizerState {
-                decoder: DecoderMoments::zeros(&model.layers),
+                decoder: DecoderMoments::zeros(model.trained_layers()),
                 sequence_codes: CodeMoments::zeros(&sequence_codes),
                 action_codes: CodeMoments::zeros(&action_codes),
-                decoder_gradient: model.layers.iter().map(DenseLayer::zeros_like).collect(),
+                decoder_gradient: model.trained_layers().map(DenseLayer::zeros_like).collect(),
             },
             state: TrainState {
                 step: 0,
@@ -167,12 +168,14 @@ impl Checkpoint {
         writer.metadata("dataset", serde_json::to_string(&self.dataset).unwrap_or_else(json));
         writer.metadata("state", serde_json::to_string(&self.state).unwrap_or_else(json));
         writer.frequencies("frequencies_rad", &self.model.frequencies_rad);
+        let layer_count = self.model.layers.len();
         writer.layers("decoder", &self.model.layers);
+        writer.layers("modulation", self.model.modulation.as_slice());
         writer.codes("sequence_code", &self.sequence_codes);
         writer.codes("action_code", &self.action_codes);
         let optimizer = &self.optimizer;
-        writer.layers("adam.first.decoder", &optimizer.decoder.first);
-        writer.layers("adam.second.decoder", &optimizer.decoder.second);
+        writer.trained_layers("adam.first", &optimizer.decoder.first, layer_count);
+        writer.trained_layers("adam.second", &optimizer.decoder.second, layer_count);
         writer.counts(
             "adam.step_count.decoder",
             core::slice::from_ref(&optimizer.decoder.step_count),
@@ -180,7 +183,7 @@ impl Checkpoint {
         writer.code_moments("sequence_code", &optimizer.sequence_codes);
         writer.code_moments("action_code", &optimizer.action_codes);
         if self.config.update.decoder_step == DecoderStep::Epoch {
-            writer.layers("adam.gradient.decoder", &optimizer.decoder_gradient);
+            writer.trained_layers("adam.gradient", &optimizer.decoder_gradient, layer_count);
         }
         writer.replace(&run.join(Self::FILE_NAME))
     }
@@ -205,13 +208,17 @@ impl Checkpoint {
         let state: TrainState = reader.json("state")?;
         let shape = model_shape(&config, &dataset);
         let widths = shape.widths();
+        let modulation =
+            [shape.sequence_code_count + shape.action_code_count, shape.modulation_rows()];
+        let modulation = if modulation[1] == 0 { &[][..] } else { &modulation[..] };
         let codes = &config.codes;
         let sequence_shape = [dataset.clips.len(), codes.sequence_dimensions];
         let action_shape = [dataset.actions.len(), codes.action_dimensions];
         let decoder_gradient = match config.update.decoder_step {
-            DecoderStep::Epoch => reader.layers("adam.gradient.decoder", &widths)?,
+            DecoderStep::Epoch => reader.trained_layers("adam.gradient", &widths, modulation)?,
             DecoderStep::Batch => {
-                widths.windows(2).map(|w| DenseLayer::zeros(w[0], w[1])).collect()
+                let shapes = widths.windows(2).chain(modulation.windows(2));
+                shapes.map(|w| DenseLayer::zeros(w[0], w[1])).collect()
             }
         };
         Ok(Self {
@@ -221,13 +228,14 @@ impl Checkpoint {
                 frequencies_rad: reader
                     .frequencies("frequencies_rad", config.time.sinusoid_count / 2)?,
                 layers: reader.layers("decoder", &widths)?,
+                modulation: reader.layers("modulation", modulation)?.pop(),
             },
             sequence_codes: reader.codes("sequence_code", sequence_shape)?,
             action_codes: reader.codes("action_code", action_shape)?,
             optimizer: OptimizerState {
                 decoder: DecoderMoments {
-                    first: reader.layers("adam.first.decoder", &widths)?,
-                    second: reader.layers("adam.second.decoder", &widths)?,
+                    first: reader.trained_layers("adam.first", &widths, modulation)?,
+                    second: reader.trained_layers("adam.second", &widths, modulation)?,
                     step_count: reader.counts("adam.step_count.decoder", 1)?[0],
                 },
                 sequence_codes: reader.code_moments("sequence_code", sequence_shape)?,
@@ -255,6 +263,7 @@ fn model_shape<'a>(config: &'a TrainConfig, dataset: &DatasetDescription) -> Mod
         frequency_base: config.time.base,
         hidden_widths: &config.decoder.hidden_widths,
         channel_count: dataset.layout.channel_count(),
+        modulation: config.decoder.modulation,
     }
 }
 

@@ -17,6 +17,7 @@ use toml::{Table, Value};
 
 use crate::dataset::Standardization;
 use crate::error::{Error, Result};
+use crate::float_model::Modulation;
 use crate::mixture::MixtureConfig;
 use crate::represent::Representation;
 
@@ -152,6 +153,9 @@ section! {
     DecoderConfig {
         /// Units of every hidden layer.
         hidden_widths: Vec<usize>,
+        /// What besides layer 1 follows the code. None stays out of the canonical text, as `hold_out` does.
+        #[serde(default, skip_serializing_if = "Modulation::is_none")]
+        modulation: Modulation,
     }
 }
 
@@ -448,7 +452,7 @@ mod tests {
     fn keys_that_came_later_leave_the_hash_alone_at_their_defaults() {
         let preset = TrainConfig::preset("small").unwrap();
         for (section, default, other) in [
-            ("codes", "compose = 'concatenate'", "compose = 'add'"),
+            ("codes", "compose = 'concatenate'", "compose = 'add'\naction_dimensions = 32"),
             ("codes", "action_code = true", "action_code = false"),
             ("batch", "sampling = 'random'", "sampling = 'spread'"),
         ] {
@@ -458,6 +462,17 @@ mod tests {
             assert_ne!(changed.config_hash(), preset.config_hash(), "{other}");
             assert!(!preset.to_toml().contains(default.split(' ').next().unwrap()), "{default}");
         }
+    }
+
+    #[test]
+    fn modulation_is_in_the_canonical_text_and_the_hash_unless_it_is_none() {
+        let gated = with_file("[decoder]\nmodulation = \"gates\"").unwrap();
+        assert!(gated.to_toml().contains("modulation = \"gates\""));
+        let plain = with_file("[decoder]\nmodulation = \"none\"").unwrap();
+        assert!(!plain.to_toml().contains("modulation"));
+        assert_ne!(gated.config_hash(), plain.config_hash());
+        let message = with_file("[decoder]\nmodulation = \"film\"").unwrap_err().to_string();
+        assert!(message.contains("gates-and-phases"), "{message}");
     }
 
     #[test]

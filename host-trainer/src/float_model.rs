@@ -13,6 +13,7 @@
 pub mod activation;
 pub mod backward;
 pub mod forward;
+pub mod modulation;
 pub mod tied_codes;
 pub mod workspace;
 
@@ -20,6 +21,7 @@ use rand::{Rng, RngExt};
 
 pub use backward::Wanted;
 pub use forward::Rows;
+pub use modulation::Modulation;
 pub use workspace::Workspace;
 
 /// One fully connected layer: `output = weights · input + bias`.
@@ -47,6 +49,9 @@ pub struct FloatModel {
     pub frequencies_rad: Vec<f64>,
     /// The layers.
     pub layers: Vec<DenseLayer>,
+    /// Gates of all hidden units, layer after layer, then phases of the frequencies; see [`modulation`]. // (row, β
+    /// then α)
+    pub modulation: Option<DenseLayer>,
 }
 
 /// A Gaussian a row: the learned codes of all clips, or of all actions.
@@ -75,6 +80,8 @@ pub struct ModelShape<'a> {
     pub hidden_widths: &'a [usize],
     /// Channels of a pose.
     pub channel_count: usize,
+    /// What besides layer 1 follows the code.
+    pub modulation: Modulation,
 }
 
 impl ModelShape<'_> {
@@ -165,6 +172,7 @@ impl FloatModel {
                 .windows(2)
                 .map(|pair| DenseLayer::random(pair[0], pair[1], rng))
                 .collect(),
+            modulation: shape.random_modulation(rng),
         }
     }
 
@@ -186,7 +194,7 @@ impl FloatModel {
     /// Weights and biases together.
     pub fn parameter_count(&self) -> usize {
         let layer_count = |layer: &DenseLayer| layer.weights.len() + layer.bias.len();
-        self.layers.iter().map(layer_count).sum()
+        self.trained_layers().map(layer_count).sum()
     }
 
     /// Writes τ(t): `[sin(w_0 t), cos(w_0 t), sin(w_1 t), …]`, in f64 inside.
@@ -259,6 +267,7 @@ mod tests {
             frequency_base: 10000.0,
             hidden_widths: &[1000, 500, 500, 200, 100],
             channel_count: 147,
+            modulation: Modulation::None,
         };
         FloatModel::random(&shape, &mut ChaCha8Rng::seed_from_u64(1))
     }

@@ -156,7 +156,7 @@ impl Tuning {
 /// The parent with a fresh optimiser, marked as tuned by 0 steps.
 fn begin(request: &TuneRequest<'_>) -> Checkpoint {
     let mut checkpoint = request.parent.clone();
-    checkpoint.optimizer.decoder = DecoderMoments::zeros(&checkpoint.model.layers);
+    checkpoint.optimizer.decoder = DecoderMoments::zeros(checkpoint.model.trained_layers());
     checkpoint.state.tuning = Some(request.tuning());
     checkpoint
 }

@@ -15,8 +15,13 @@ pub const FORMATS: [&str; 4] = ["w8a16", "w8a8", "w4a8", "f16"];
 /// The format that rests on floating point: no promise of the same bits.
 pub const FLOAT_FORMAT: &str = "f16";
 
-/// Settings of the runs that tests train: preset `tiny` with an end after seconds.
-pub const QUICK_CONFIG: &str = "[decoder]\nhidden_widths = [32, 24]\n[budget]\nsteps = 300\n";
+/// Settings of the runs that tests train: preset `tiny` with an end after seconds, and without phases, which no time
+/// table can hold.
+pub const QUICK_CONFIG: &str =
+    "[decoder]\nhidden_widths = [32, 24]\nmodulation = \"gates\"\n[budget]\nsteps = 300\n";
+
+/// The same with phases.
+pub const TURNED_CONFIG: &str = "[decoder]\nhidden_widths = [32, 24]\n[budget]\nsteps = 300\n";
 
 /// A trained run of the built-in character and its blobs.
 #[derive(Debug)]
@@ -52,6 +57,15 @@ pub fn trained() -> &'static Trained {
         }
         Trained { clips: folder.join("clips"), run: folder.join("creature"), folder }
     })
+}
+
+/// A folder with a run `turned`, whose frequencies follow the code too, beside the trained one.
+pub fn workplace_with_phases() -> TempDir {
+    let folder = workplace();
+    fs::write(folder.path().join("turned.toml"), TURNED_CONFIG).expect("a writable folder");
+    let train = "train clips --out turned --preset tiny --config turned.toml --seed 7 --threads 1";
+    host_trainer(folder.path(), train).succeeded();
+    folder
 }
 
 /// A new folder with links to the trained run, its clips and its blobs: `clips`, `creature`, `w8a16.kara`, ….

@@ -81,6 +81,12 @@ impl<'a> TensorWriter<'a> {
         }
     }
 
+    /// `all`: the decoder's `layer_count` layers, then that of gates and phases, if any.
+    pub fn trained_layers(&mut self, prefix: &str, all: &'a [DenseLayer], layer_count: usize) {
+        self.layers(&format!("{prefix}.decoder"), &all[..layer_count]);
+        self.layers(&format!("{prefix}.modulation"), &all[layer_count..]);
+    }
+
     pub fn codes(&mut self, prefix: &str, table: &'a CodeTable) {
         let shape = vec![table.row_count(), table.dimension_count];
         self.floats(format!("{prefix}.mean"), shape.clone(), &table.mean);
@@ -181,6 +187,18 @@ impl<'a> TensorReader<'a> {
             })
         };
         widths.windows(2).enumerate().map(read_layer).collect()
+    }
+
+    /// What [`TensorWriter::trained_layers`] wrote.
+    pub fn trained_layers(
+        &self,
+        prefix: &str,
+        widths: &[usize],
+        modulation: &[usize],
+    ) -> Result<Vec<DenseLayer>> {
+        let mut layers = self.layers(&format!("{prefix}.decoder"), widths)?;
+        layers.extend(self.layers(&format!("{prefix}.modulation"), modulation)?);
+        Ok(layers)
     }
 
     pub fn codes(&self, prefix: &str, shape: [usize; 2]) -> Result<CodeTable> {

@@ -12,6 +12,7 @@ use rayon::prelude::*;
 
 use crate::dataset::DatasetDescription;
 use crate::error::Result;
+use crate::float_model::modulation::gate;
 use crate::float_model::{CodeTable, DenseLayer, FloatModel};
 use crate::mixture::set::MixtureSet;
 
@@ -29,7 +30,7 @@ const CLIP_COUNT_MAX: usize = 300;
 /// Frames of each case, evenly spaced over the clip.
 const FRAME_COUNT: usize = 8;
 
-/// Every clip's own code, and a draw from the mixture for its action and length.
+/// Every clip's own code, and a draw from the mixture for its action and length; more of them where clips are few.
 ///
 /// # Errors
 /// Those of [`MixtureSet::sample`]; none for the mixtures of the same dataset.
@@ -41,18 +42,24 @@ pub fn calibration_cases(
     seed: u64,
 ) -> Result<Vec<CalibrationCase>> {
     let stride = dataset.clips.len().div_ceil(CLIP_COUNT_MAX).max(1);
+    let draws_per_clip = (CLIP_COUNT_MAX / dataset.clips.len().max(1)).max(1);
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let mut cases = Vec::new();
     for (row, clip) in dataset.clips.iter().enumerate().step_by(stride) {
         let last = (clip.frame_count - 1) as f64;
         let frames: Vec<f64> =
             (0..FRAME_COUNT).map(|i| last * i as f64 / (FRAME_COUNT - 1) as f64).collect();
-        let drawn = mixtures.sample(clip.action, clip.frame_count, &mut random)?;
-        let drawn: Vec<f32> = drawn.into_iter().map(|value| value as f32).collect();
-        for sequence_code in [sequence_codes.mean_of(row), &drawn] {
-            let code = [sequence_code, action_codes.mean_of(clip.action)].concat();
-            cases.push(CalibrationCase { code, frames: frames.clone() });
+        let action_code = action_codes.mean_of(clip.action);
+        let own = sequence_codes.mean_of(row).to_vec();
+        let mut codes = vec![own];
+        for _ in 0..draws_per_clip {
+            let drawn = mixtures.sample(clip.action, clip.frame_count, &mut random)?;
+            codes.push(drawn.into_iter().map(|value| value as f32).collect());
         }
+        cases.extend(codes.into_iter().map(|sequence_code| CalibrationCase {
+            code: [sequence_code.as_slice(), action_code].concat(),
+            frames: frames.clone(),
+        }));
     }
     Ok(cases)
 }
@@ -82,18 +89,34 @@ pub fn calibrate(model: &FloatModel, cases: &[CalibrationCase]) -> Vec<Observed>
 
 /// The pose of a code at a frame, in standardised channels.
 pub fn decode_float(model: &FloatModel, code: &[f32], frame: f64) -> Vec<f32> {
-    let mut values = first_inputs(model, code, frame);
-    let (last, hidden) = model.layers.split_last().expect("a model has layers");
-    for layer in hidden {
-        values = elu_layer(layer, &values);
+    let last = model.layers.last().expect("a model has layers");
+    let hidden = hidden_activations(model, code, frame);
+    dense(last, hidden.last().expect("a model has hidden layers"))
+}
+
+/// Outputs of every hidden layer. // (hidden layer)(unit)
+fn hidden_activations(model: &FloatModel, code: &[f32], frame: f64) -> Vec<Vec<f32>> {
+    let modulation = model.modulation.as_ref().map(|layer| dense(layer, code)).unwrap_or_default();
+    let phases = &modulation[model.phase_rows()];
+    let mut values = first_inputs(model, code, frame, phases);
+    let mut outputs = Vec::with_capacity(model.layers.len() - 1);
+    for (index, layer) in model.layers[..model.layers.len() - 1].iter().enumerate() {
+        values = dense(layer, &values);
+        values
+            .iter_mut()
+            .zip(&modulation[model.gate_rows(index)])
+            .for_each(|(v, row)| *v *= gate(*row));
+        values.iter_mut().for_each(|value| *value = elu(*value));
+        outputs.push(values.clone());
     }
-    dense(last, &values)
+    outputs
 }
 
 /// β, α, τ(t).
-fn first_inputs(model: &FloatModel, code: &[f32], frame: f64) -> Vec<f32> {
-    let sinusoids = model.frequencies_rad.iter().flat_map(|rate_rad| {
-        let (sine, cosine) = (rate_rad * frame).sin_cos();
+fn first_inputs(model: &FloatModel, code: &[f32], frame: f64, phases: &[f32]) -> Vec<f32> {
+    let phases = phases.iter().copied().chain(std::iter::repeat(0.0));
+    let sinusoids = model.frequencies_rad.iter().zip(phases).flat_map(|(rate_rad, phase)| {
+        let (sine, cosine) = (rate_rad * frame + f64::from(phase)).sin_cos();
         [sine as f32, cosine as f32]
     });
     code.iter().copied().chain(sinusoids).collect()
@@ -101,21 +124,12 @@ fn first_inputs(model: &FloatModel, code: &[f32], frame: f64) -> Vec<f32> {
 
 /// Inputs of every layer after the first, for every frame of a case. // (frame)(layer - 1)(input)
 fn observe(model: &FloatModel, case: &CalibrationCase) -> Vec<Vec<Vec<f32>>> {
-    let observe_frame = |&frame: &f64| {
-        let mut inputs = Vec::with_capacity(model.layers.len() - 1);
-        let mut values = first_inputs(model, &case.code, frame);
-        for layer in &model.layers[..model.layers.len() - 1] {
-            values = elu_layer(layer, &values);
-            inputs.push(values.clone());
-        }
-        inputs
-    };
-    case.frames.iter().map(observe_frame).collect()
+    let frames = case.frames.iter();
+    frames.map(|&frame| hidden_activations(model, &case.code, frame)).collect()
 }
 
-fn elu_layer(layer: &DenseLayer, input: &[f32]) -> Vec<f32> {
-    let elu = |sum: f32| if sum >= 0.0 { sum } else { sum.exp_m1() };
-    dense(layer, input).into_iter().map(elu).collect()
+fn elu(sum: f32) -> f32 {
+    if sum >= 0.0 { sum } else { sum.exp_m1() }
 }
 
 fn dense(layer: &DenseLayer, input: &[f32]) -> Vec<f32> {

@@ -13,6 +13,7 @@ use crate::float_model::{DenseLayer, FloatModel};
 use crate::quantize::integer_layers::{IntegerInput, input_scales, product_unit};
 use crate::quantize::layer::{InputScale, quantize_layer};
 use crate::quantize::nibble::quantize_nibble_row;
+use crate::quantize::split::split_modulation;
 
 /// The model as the device computes it, in standardised channels; `stored` says how the layers of `model` are stored.
 pub fn effective_model(
@@ -28,11 +29,19 @@ pub fn effective_model(
     });
     let mut layers: Vec<DenseLayer> = layers.collect();
     let time_half = layers.remove(TIME_LAYER);
+    let modulation = model.modulation.as_ref();
+    let modulation = modulation.map(|_| split_modulation(&layers[CODE_LAYER], model));
     layers[CODE_LAYER] = join_halves(&layers[CODE_LAYER], &time_half);
     if let Some(last) = layers.last_mut() {
         standardize(last, dataset);
     }
-    FloatModel { frequencies_rad: model.frequencies_rad.clone(), layers, ..*model }
+    FloatModel {
+        sequence_code_count: model.sequence_code_count,
+        action_code_count: model.action_code_count,
+        frequencies_rad: model.frequencies_rad.clone(),
+        layers,
+        modulation,
+    }
 }
 
 /// A layer of `w8a16` or `w8a8`, as real numbers.
@@ -79,9 +88,9 @@ fn join_halves(code_half: &DenseLayer, time_half: &DenseLayer) -> DenseLayer {
     let rows = rows.zip(time_half.weights.chunks_exact(time_half.input_count));
     DenseLayer {
         input_count: code_half.input_count + time_half.input_count,
-        output_count: code_half.output_count,
+        output_count: time_half.output_count,
         weights: rows.flat_map(|(code, time)| code.iter().chain(time)).copied().collect(),
-        bias: code_half.bias.clone(),
+        bias: code_half.bias[..time_half.output_count].to_vec(),
     }
 }
 

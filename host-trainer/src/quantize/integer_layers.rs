@@ -5,7 +5,8 @@
 
 use karakuri::Requantizer;
 use karakuri::manifest::{
-    ActivationScale, CODE_LAYER, NumberFormat, Packing, TIME_LAYER, TensorKind, WeightFormat,
+    ActivationScale, CODE_LAYER, GATE_MAX, NumberFormat, Packing, TIME_LAYER, TensorKind,
+    WeightFormat,
 };
 use karakuri::packing::ByteLayout;
 
@@ -59,13 +60,13 @@ pub fn integer_layers(input: IntegerInput<'_>) -> Result<StoredLayers> {
         let is_last = index + 1 == input.layers.len();
         let mut activation = ActivationScale::NONE;
         let factors: Vec<f64> = if index == CODE_LAYER {
-            let time_half = &rows[TIME_LAYER].accumulator_scales;
-            scales.iter().zip(time_half).map(|(scale, time)| scale / time).collect()
+            code_factors(scales, &rows[TIME_LAYER].accumulator_scales)
         } else if is_last {
             scales.iter().map(|scale| scale * 65_536.0).collect()
         } else {
             let next = &inputs[index + 1];
-            let bits = fraction_bits(index, scales, next, input.format)?;
+            let scales: Vec<f64> = scales.iter().map(|scale| scale * gate_max(input)).collect();
+            let bits = fraction_bits(index, &scales, next, input.format)?;
             activation = elu_scale(next, bits);
             scales.iter().map(|scale| scale / next.scale * f64::from(1u32 << bits)).collect()
         };
@@ -74,6 +75,21 @@ pub fn integer_layers(input: IntegerInput<'_>) -> Result<StoredLayers> {
         stored.accumulator_use.push(rows[index].accumulator_use);
     }
     Ok(stored)
+}
+
+/// Rows of layer 1 become accumulators of its time half, gates and phases numbers in Q16.
+fn code_factors(scales: &[f64], time_half: &[f64]) -> Vec<f64> {
+    let starts = scales.iter().zip(time_half).map(|(scale, time)| scale / time);
+    let first = time_half.len().next_multiple_of(4).min(scales.len());
+    let filling = (time_half.len()..first).map(|_| 0.0);
+    starts.chain(filling).chain(scales[first..].iter().map(|scale| scale * 65_536.0)).collect()
+}
+
+/// The largest factor that a motion can put on the scale of a hidden row.
+fn gate_max(input: IntegerInput<'_>) -> f64 {
+    let [code_half, time_half] = [CODE_LAYER, TIME_LAYER].map(|index| &input.layers[index]);
+    let has_gates = code_half.output_count != time_half.output_count;
+    if has_gates { f64::from(GATE_MAX) } else { 1.0 }
 }
 
 /// How the inputs of every layer are stored.

@@ -39,6 +39,15 @@ pub fn time_table(model: &Model<'_>, frames: u16) -> Result<TimeTable> {
             "leave --time-table away, or quantise to w8a16, w8a8 or w4a8",
         ));
     }
+    if model.manifest().has_phases() {
+        return Err(Error::bad_input(
+            "--time-table",
+            "decoder.modulation",
+            "gates-and-phases",
+            "none or gates: phases make the time half another one for every motion",
+            "leave --time-table away, or train with modulation = \"gates\"",
+        ));
+    }
     let mut workspace = Box::new(Workspace::<{ limits::WIDTH_MAX }>::new());
     let mut decoder = Decoder::new(model, &mut workspace)
         .map_err(|reason| Error::Blob { path: "time table".into(), reason: reason.to_string() })?;

@@ -71,9 +71,9 @@ impl Adam {
     }
 
     /// Moves all layers by their gradient, scaled by `gradient_scale`.
-    pub fn step_decoder(
+    pub fn step_decoder<'l>(
         &self,
-        layers: &mut [DenseLayer],
+        layers: impl IntoIterator<Item = &'l mut DenseLayer>,
         gradient: &[DenseLayer],
         moments: &mut DecoderMoments,
         learning_rate: f64,
@@ -82,7 +82,7 @@ impl Adam {
         moments.step_count += 1;
         let factors = self.factors(moments.step_count, learning_rate, gradient_scale);
         for (((layer, gradient), first), second) in
-            layers.iter_mut().zip(gradient).zip(&mut moments.first).zip(&mut moments.second)
+            layers.into_iter().zip(gradient).zip(&mut moments.first).zip(&mut moments.second)
         {
             let (first_w, second_w) = (&mut first.weights, &mut second.weights);
             factors.step_parallel(&mut layer.weights, &gradient.weights, first_w, second_w);
@@ -166,8 +166,9 @@ impl StepFactors {
 
 impl DecoderMoments {
     /// Before the first step.
-    pub fn zeros(layers: &[DenseLayer]) -> Self {
-        let zeros = || layers.iter().map(DenseLayer::zeros_like).collect();
+    pub fn zeros<'l>(layers: impl IntoIterator<Item = &'l DenseLayer, IntoIter: Clone>) -> Self {
+        let layers = layers.into_iter();
+        let zeros = || layers.clone().map(DenseLayer::zeros_like).collect();
         Self { first: zeros(), second: zeros(), step_count: 0 }
     }
 }

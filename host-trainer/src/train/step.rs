@@ -253,7 +253,7 @@ impl<'a> Trainer<'a> {
             1.0
         };
         Adam::new(&config.adam).step_decoder(
-            &mut model.layers,
+            model.trained_layers_mut(),
             &optimizer.decoder_gradient,
             &mut optimizer.decoder,
             config.adam.decoder_learning_rate * rate_factor,

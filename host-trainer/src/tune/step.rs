@@ -93,7 +93,7 @@ impl<'a> Tuner<'a> {
         };
         self.effective.backward(&rounded, &mut self.student_workspace, wanted);
         Adam::new(&config.adam).step_decoder(
-            &mut model.layers,
+            model.trained_layers_mut(),
             &optimizer.decoder_gradient,
             &mut optimizer.decoder,
             learning_rate,
