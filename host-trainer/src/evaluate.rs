@@ -19,6 +19,7 @@ pub mod estimate;
 pub mod frechet;
 pub mod spread;
 pub mod nearest_clip;
+pub mod physical;
 mod row;
 pub mod real_side;
 pub mod papers;
@@ -128,7 +129,9 @@ fn score_generated(
     let start = real.protocol.hidden_start(Role::Generated, repetition);
     let verdict = real.judge.score(&crops, start);
     let counts = [real.judge.feature_count(), real.data.actions.len()];
-    let scored = Scored::new(&crops, chosen.actions(), verdict, counts, "generated motions")?;
+    let ruler = real.ruler.as_ref();
+    let scored =
+        Scored::new(&crops, chosen.actions(), verdict, counts, ruler, "generated motions")?;
     Ok((crops, scored))
 }
 

@@ -28,12 +28,8 @@ pub fn infer_skeleton(
     names: Vec<String>,
     joints: &[Vec<Vec<Vector>>],
 ) -> Result<Skeleton> {
-    let joint_count = names.len();
-    let costs: Vec<Vec<f64>> = (0..joint_count)
-        .map(|a| (0..joint_count).map(|b| pair_cost(joints, a, b)).collect())
-        .collect();
-    let skeleton =
-        Skeleton { offsets: vec![[0.0; 3]; joint_count], parents: spanning_tree(&costs), names };
+    let offsets = vec![[0.0; 3]; names.len()];
+    let skeleton = Skeleton { offsets, parents: infer_parents(names.len(), joints), names };
     skeleton.check(source).map_err(|error| {
         Error::bad_input(
             source,
@@ -44,6 +40,14 @@ pub fn infer_skeleton(
         )
     })?;
     Ok(skeleton)
+}
+
+/// The tree alone, in whatever order the joints come. // (clip, frame, joint) → (joint)
+pub fn infer_parents(joint_count: usize, joints: &[Vec<Vec<Vector>>]) -> Vec<Option<usize>> {
+    let costs: Vec<Vec<f64>> = (0..joint_count)
+        .map(|a| (0..joint_count).map(|b| pair_cost(joints, a, b)).collect())
+        .collect();
+    spanning_tree(&costs)
 }
 
 /// Mean distance of two joints, times 1 + variation within clips relative to it.

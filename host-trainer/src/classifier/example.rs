@@ -10,13 +10,12 @@
 use rand::Rng;
 use serde::{Deserialize, Serialize};
 
-use crate::body::Body;
 use crate::checkpoint::dataset_hash;
 use crate::clip::ClipSet;
-use crate::dataset::{self, Dataset, DatasetDescription, DatasetOptions};
+use crate::dataset::{self, ClipDescription, Dataset, DatasetDescription, DatasetOptions};
 use crate::error::{Error, Result};
 use crate::evaluate::crop::Window;
-use crate::evaluate::real::{metres_of, positions_of};
+use crate::evaluate::real::PoseReader;
 use crate::float_model::DenseLayer;
 
 /// What a classifier reads.
@@ -74,15 +73,15 @@ impl Examples {
         let held_out = held_out.map(|clips| dataset::build_held_out(clips, &mut dataset));
         let held_out = held_out.transpose()?;
         let layout = &training.layout;
-        let body = Body::new(layout, training.skeleton.as_ref());
-        let names = match (&body, &training.skeleton) {
-            (None, _) => layout.channel_names(),
-            (Some(_), Some(skeleton)) => skeleton.names.clone(),
-            (Some(_), None) => layout.groups.iter().map(|group| group.name.clone()).collect(),
+        let reader = PoseReader::new(layout, training.skeleton.as_ref());
+        let names = match (reader.input(), &training.skeleton) {
+            (Input::Channels, _) => layout.channel_names(),
+            (Input::Joints, Some(skeleton)) => skeleton.names.clone(),
+            (Input::Joints, None) => layout.groups.iter().map(|group| group.name.clone()).collect(),
         };
-        let read = |dataset: &Dataset| examples(dataset, body.as_ref());
+        let read = |dataset: &Dataset| examples(dataset, &reader);
         Ok(Self {
-            input: if body.is_some() { Input::Joints } else { Input::Channels },
+            input: reader.input(),
             names,
             actions,
             rate_hz: training.rate_hz,
@@ -177,21 +176,20 @@ fn check_actions(actions: &[String], training: &ClipSet, held_out: Option<&ClipS
 }
 
 /// Clips as the classifier learns from them: of a body positions, otherwise standardised channels.
-fn examples(dataset: &Dataset, body: Option<&Body>) -> Vec<Example> {
+fn examples(dataset: &Dataset, reader: &PoseReader) -> Vec<Example> {
     let description = &dataset.description;
-    let metres = metres_of(&description.layout);
-    let clips = description.clips.iter().enumerate();
-    clips
-        .map(|(index, clip)| {
-            let mut poses = dataset.clip_poses(index).to_vec();
-            if let Some(body) = body {
-                description.destandardize(&mut poses);
-                let poses_of_clip = poses.chunks_exact(description.layout.channel_count());
-                poses = poses_of_clip.flat_map(|pose| positions_of(body, pose, metres)).collect();
-            }
-            Example { name: clip.name.clone(), action: clip.action, poses }
-        })
-        .collect()
+    let read = |(index, clip): (usize, &ClipDescription)| {
+        let mut poses = dataset.clip_poses(index).to_vec();
+        if reader.input() == Input::Joints {
+            description.destandardize(&mut poses);
+            let own = poses.chunks_exact(description.layout.channel_count());
+            let mut seen = Vec::new();
+            own.for_each(|pose| reader.read(pose, &mut seen));
+            poses = seen;
+        }
+        Example { name: clip.name.clone(), action: clip.action, poses }
+    };
+    description.clips.iter().enumerate().map(read).collect()
 }
 
 #[cfg(test)]

@@ -16,7 +16,7 @@ use crate::float_model::forward::{matrix, matrix_mut, multiply};
 use crate::simd;
 
 /// Motions of a block; fixed, as the sums depend on it.
-const MOTIONS_PER_BLOCK: usize = 32;
+const MOTIONS_PER_BLOCK: usize = 16;
 
 /// Buffers of a batch, and its gradient.
 #[derive(Debug)]
@@ -30,16 +30,7 @@ struct Block {
     traces: Vec<LayerTrace>,
     deltas: Vec<LayerDeltas>,
     gradient: Vec<DenseLayer>,
-    outcome: Outcome,
-}
-
-/// How a batch went.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Outcome {
-    /// Mean cross-entropy.
-    pub loss: f64,
-    /// Motions whose action had the largest logit.
-    pub right: usize,
+    loss: f64,
 }
 
 impl Lesson {
@@ -49,21 +40,16 @@ impl Lesson {
             traces: vec![LayerTrace::default(); classifier.recurrent_count()],
             deltas: vec![LayerDeltas::default(); classifier.recurrent_count()],
             gradient: classifier.layers.iter().map(DenseLayer::zeros_like).collect(),
-            outcome: Outcome::default(),
+            loss: 0.0,
         };
         Self { blocks: vec![block; motion_count.div_ceil(MOTIONS_PER_BLOCK)] }
     }
 
-    /// Takes a batch forward and back; the gradient of its loss is then [`Lesson::gradient`].
+    /// Takes a batch forward and back: its mean cross-entropy, whose gradient is then [`Lesson::gradient`].
     ///
     /// # Shapes
     /// `motions` (motion, frame, channel) · `actions` (motion)
-    pub fn learn(
-        &mut self,
-        classifier: &Classifier,
-        motions: &[f32],
-        actions: &[usize],
-    ) -> Outcome {
+    pub fn learn(&mut self, classifier: &Classifier, motions: &[f32], actions: &[usize]) -> f64 {
         let len = motions.len() / actions.len();
         let share = 1.0 / actions.len() as f32;
         let block_count = actions.len().div_ceil(MOTIONS_PER_BLOCK);
@@ -78,14 +64,13 @@ impl Lesson {
             });
         let (first, others) = self.blocks[..block_count].split_at_mut(1);
         for block in others {
-            first[0].outcome.loss += block.outcome.loss;
-            first[0].outcome.right += block.outcome.right;
+            first[0].loss += block.loss;
             for (sum, layer) in first[0].gradient.iter_mut().zip(&block.gradient) {
                 simd::add(&mut sum.weights, &layer.weights);
                 simd::add(&mut sum.bias, &layer.bias);
             }
         }
-        first[0].outcome
+        first[0].loss
     }
 
     /// Of the last batch. // (layer)
@@ -106,7 +91,7 @@ impl Block {
         let starts = classifier.hidden_starts(HiddenStart::Zeros, 0, motion_count);
         classifier.score_block(poses, &starts, &mut self.traces);
         classifier.conclude(&self.traces, &mut features, &mut logits);
-        self.outcome = cross_entropy(&mut logits, actions, share);
+        self.loss = cross_entropy(&mut logits, actions, share);
         self.backward_ends(classifier, &features, &logits);
         for index in (0..self.traces.len()).rev() {
             let layer = classifier.recurrent(index);
@@ -161,20 +146,19 @@ fn transposed(layer: &DenseLayer, deltas: &[f32], inputs: &mut [f32]) {
 }
 
 /// `share` of the sum of −ln softmax of the right actions; turns the logits into their gradient.
-fn cross_entropy(logits: &mut [f32], actions: &[usize], share: f32) -> Outcome {
+fn cross_entropy(logits: &mut [f32], actions: &[usize], share: f32) -> f64 {
     let width = logits.len() / actions.len();
-    let mut outcome = Outcome::default();
+    let mut loss = 0.0;
     for (row, &action) in logits.chunks_exact_mut(width).zip(actions) {
         let largest = row.iter().copied().fold(f32::NEG_INFINITY, f32::max);
         let right = row[action] - largest;
-        outcome.right += usize::from(right == 0.0);
         row.iter_mut().for_each(|logit| *logit = (*logit - largest).exp());
         let sum: f32 = row.iter().sum();
-        outcome.loss += f64::from(share * (sum.ln() - right));
+        loss += f64::from(share * (sum.ln() - right));
         row.iter_mut().for_each(|power| *power *= share / sum);
         row[action] -= share;
     }
-    outcome
+    loss
 }
 
 #[cfg(test)]
@@ -199,7 +183,7 @@ mod tests {
         let classifier = classifier(4, 3);
         let motions = values(3 * 5 * 4);
         let mut lesson = Lesson::new(&classifier, 3);
-        let Outcome { loss, .. } = lesson.learn(&classifier, &motions, &ACTIONS);
+        let loss = lesson.learn(&classifier, &motions, &ACTIONS);
         assert!((loss - reference_loss(&classifier, &motions)).abs() < 1e-6, "{loss}");
         let quotient = |place: &dyn Fn(&mut Classifier) -> &mut f32| {
             let (mut above, mut below) = (classifier.clone(), classifier.clone());
@@ -230,11 +214,11 @@ mod tests {
         let motions = values(70 * 5 * 4);
         let actions: Vec<usize> = (0..70).map(|motion| motion % 3).collect();
         let mut lesson = Lesson::new(&classifier, 70);
-        let Outcome { loss, .. } = lesson.learn(&classifier, &motions, &actions);
+        let loss = lesson.learn(&classifier, &motions, &actions);
         let whole = lesson.gradient().to_vec();
         let (mut loss_sum, mut bias_sum) = (0.0, 0.0);
         for (motion, action) in motions.chunks(5 * 4).zip(&actions) {
-            loss_sum += lesson.learn(&classifier, motion, &[*action]).loss;
+            loss_sum += lesson.learn(&classifier, motion, &[*action]);
             bias_sum += lesson.gradient()[0].bias[1];
         }
         assert!((loss - loss_sum / 70.0).abs() < 1e-5);

@@ -32,9 +32,9 @@ pub struct ClassifyArgs {
     /// Poses that it sees of a motion; of longer ones a window, shorter ones wait in their last pose
     #[arg(long, default_value_t = Settings::default().frames, value_parser = at_least_1)]
     pub frames: usize,
-    /// Passes over the training clips
-    #[arg(long, default_value_t = Settings::default().epochs, value_parser = at_least_1)]
-    pub epochs: usize,
+    /// Steps of the optimiser
+    #[arg(long, default_value_t = Settings::default().steps, value_parser = at_least_1)]
+    pub steps: usize,
     /// Share of each action's clips that it does not learn from, for the held-out accuracy; 0 for none
     #[arg(long, value_name = "SHARE", default_value_t = Settings::default().hold_out)]
     pub hold_out: f64,
@@ -89,7 +89,7 @@ pub fn run(args: &ClassifyArgs) -> Result<()> {
     let threads = threads.build().map_err(|error| {
         Error::bad_input("--threads", "number", error, "a number of threads", "leave it out")
     })?;
-    let bar = progress_bar(settings.epochs);
+    let bar = progress_bar(settings.steps);
     let trained = threads.install(|| train(&examples, &settings, &bar))?;
     let description = describe(&examples, settings, &trained);
     let classifier = trained.classifier.with_description(description.clone());
@@ -108,8 +108,8 @@ fn settings(args: &ClassifyArgs) -> Result<Settings> {
         let remedy = "0.2 holds out a fifth of the clips";
         return Err(Error::bad_input("--hold-out", "share", args.hold_out, expected, remedy));
     }
-    let ClassifyArgs { frames, epochs, hold_out, seed, .. } = *args;
-    Ok(Settings { frames, epochs, hold_out, seed, ..Settings::default() })
+    let ClassifyArgs { frames, steps, hold_out, seed, .. } = *args;
+    Ok(Settings { frames, steps, hold_out, seed, ..Settings::default() })
 }
 
 fn read_examples(clips: &Path, args: &ImportArgs, settings: &Settings) -> Result<Examples> {
@@ -124,9 +124,9 @@ fn read_examples(clips: &Path, args: &ImportArgs, settings: &Settings) -> Result
     Examples::new(&training, held_out.as_ref())
 }
 
-fn progress_bar(epochs: usize) -> ProgressBar {
-    let style = ProgressStyle::with_template("{bar:20} pass {pos} of {len}, {msg}, {eta} left");
-    ProgressBar::new(epochs as u64)
+fn progress_bar(steps: usize) -> ProgressBar {
+    let style = ProgressStyle::with_template("{bar:20} step {pos} of {len}, {msg}, {eta} left");
+    ProgressBar::new(steps as u64)
         .with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
 }
 

@@ -108,7 +108,7 @@ fn read_clip(
 }
 
 /// Reads what a classifier sees out of poses of one layout.
-pub(super) struct PoseReader {
+pub(crate) struct PoseReader {
     /// `None`: the channels as they are.
     body: Option<Body>,
     metres: f64,
@@ -143,13 +143,13 @@ impl PoseReader {
 }
 
 /// Joints of one pose, x, y and z each, in metres.
-pub(crate) fn positions_of(body: &Body, pose: &[f32], metres: f64) -> impl Iterator<Item = f32> {
+fn positions_of(body: &Body, pose: &[f32], metres: f64) -> impl Iterator<Item = f32> {
     let joints = body.joint_positions(pose).into_iter().flatten();
     joints.map(move |value| (value * metres) as f32)
 }
 
 /// Metres per 1 of a body's lengths; lengths without a unit are taken as they are.
-pub(crate) fn metres_of(layout: &PoseLayout) -> f64 {
+fn metres_of(layout: &PoseLayout) -> f64 {
     let is_length = |kind| matches!(kind, GroupKind::Translation | GroupKind::Position);
     match layout.groups.iter().find(|group| is_length(group.kind)).map(|group| group.unit) {
         Some(Unit::Centimetre) => 0.01,

@@ -7,6 +7,7 @@ use super::crop::Crops;
 use super::frechet::motions_min;
 use super::judge::Judge;
 use super::nearest_clip::{Quantiles, TrainingClips};
+use super::physical::ruler::Ruler;
 use super::protocol::{Protocol, Role};
 use super::real::RealMotions;
 use super::report::{DataDescription, Figures, NearestTrainingClip};
@@ -24,6 +25,7 @@ pub struct RealSide<'a> {
     pub(super) roster: Roster<'a>,
     /// Of bodies.
     pub(super) clips: Option<TrainingClips>,
+    pub(super) ruler: Option<Ruler>,
     /// // (repetition)
     pub(super) scores: Vec<RealScores>,
     pub(super) figures: Figures,
@@ -46,13 +48,17 @@ impl<'a> RealSide<'a> {
         let roster = Roster::new(data, protocol)?;
         let is_body = data.input == Input::Joints;
         let clips = is_body.then(|| TrainingClips::new(&data.training, data.joints.len()));
+        let ruler = is_body.then(|| Ruler::new(data));
         let why_not_held_out = why_not_held_out(data, judge, &roster);
         let bar = progress_bar(progress);
         bar.set_message("real motions");
         let mut row = Row::default();
         let (mut scores, mut held_out_mm, mut training_mm) = (Vec::new(), Vec::new(), Vec::new());
         for repetition in 0..protocol.repetitions {
-            let score = |role| score_real(&roster, judge, protocol, data, role, repetition);
+            let score = |role| {
+                let ruler = ruler.as_ref().filter(|_| role != Role::HeldOut);
+                score_real(&roster, judge, protocol, data, ruler, (role, repetition))
+            };
             let (_, _, training) = score(Role::Real)?;
             let mut real = RealScores { training, held_out: None };
             if why_not_held_out.is_none() {
@@ -90,6 +96,7 @@ impl<'a> RealSide<'a> {
             protocol,
             roster,
             clips,
+            ruler,
             scores,
         })
     }
@@ -112,15 +119,15 @@ fn score_real<'a>(
     judge: &Judge<'_>,
     protocol: &Protocol,
     data: &RealMotions,
-    role: Role,
-    repetition: usize,
+    ruler: Option<&Ruler>,
+    (role, repetition): (Role, usize),
 ) -> Result<(Chosen<'a>, Crops, Scored)> {
     let chosen = roster.choose(role, repetition);
     let crops = chosen.real_crops(protocol.frames, data);
     let verdict = judge.score(&crops, protocol.hidden_start(role, repetition));
     let counts = [judge.feature_count(), data.actions.len()];
     let of = if role == Role::HeldOut { "held-out clips" } else { "training clips" };
-    let scored = Scored::new(&crops, chosen.actions(), verdict, counts, of)?;
+    let scored = Scored::new(&crops, chosen.actions(), verdict, counts, ruler, of)?;
     Ok((chosen, crops, scored))
 }
 

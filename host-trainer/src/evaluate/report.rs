@@ -10,6 +10,7 @@ use crate::classifier::example::Input;
 use super::estimate::Estimate;
 use super::nearest_clip::Quantiles;
 use super::papers::PaperRow;
+use super::physical::figures::PhysicalFigures;
 use super::protocol::Protocol;
 use super::source::SourceDescription;
 
@@ -57,6 +58,8 @@ pub struct Figures {
     pub apd: Estimate,
     /// The same as a share of the training clips', per action, mean over the actions, percent.
     pub apd_normalized: Estimate,
+    /// Figures in metres and seconds, without the classifier; `None` for what is no body.
+    pub physical: Option<PhysicalFigures>,
     /// Accuracy of each action's motions, in the order of the data's actions.
     pub accuracy_by_action: Vec<ActionAccuracy>,
 }

@@ -9,6 +9,8 @@ use super::crop::Crops;
 use super::estimate::Estimate;
 use super::frechet::Gaussian;
 use super::judge::Verdict;
+use super::physical::figures::{PhysicalFigures, Samples, Summaries};
+use super::physical::ruler::Ruler;
 use super::report::{ActionAccuracy, Figures};
 use super::spread::{diversity, mean_nearest, multimodality, pairwise_distances};
 use crate::error::Result;
@@ -24,10 +26,12 @@ pub(super) struct Scored {
     pub gaussian: Gaussian,
     /// See [`pairwise_distances`]. // (action)
     pub pairwise: Vec<Option<f64>>,
+    /// How they move; `None` for what is no body.
+    pub samples: Option<Samples>,
 }
 
 impl Scored {
-    /// `of` names the motions in messages.
+    /// `of` names the motions in messages; without a ruler nothing physical is measured.
     ///
     /// # Errors
     /// Too few motions for a covariance.
@@ -36,11 +40,13 @@ impl Scored {
         actions: Vec<usize>,
         verdict: Verdict,
         [feature_count, action_count]: [usize; 2],
+        ruler: Option<&Ruler>,
         of: &str,
     ) -> Result<Self> {
         let gaussian = Gaussian::fit(&verdict.features, feature_count, of)?;
         let pairwise = pairwise_distances(crops, &actions, action_count);
-        Ok(Self { actions, verdict, gaussian, pairwise })
+        let samples = ruler.map(|ruler| Samples::new(crops, ruler));
+        Ok(Self { actions, verdict, gaussian, pairwise, samples })
     }
 }
 
@@ -65,6 +71,7 @@ struct Values {
     apd_normalized: f64,
     /// Right ones and all. // (action)
     right: Vec<(usize, usize)>,
+    physical: Option<Summaries>,
 }
 
 /// Figures of one row in all repetitions so far.
@@ -99,6 +106,11 @@ impl Row {
             apd: mean(apd),
             apd_normalized: mean(shares.filter(|share| share.is_finite())),
             right,
+            physical: motions
+                .samples
+                .as_ref()
+                .zip(real.training.samples.as_ref())
+                .map(|(one, real)| one.summarize(real)),
         });
     }
 
@@ -121,9 +133,16 @@ impl Row {
             mms: estimate(|values| values.mms),
             apd: estimate(|values| values.apd),
             apd_normalized: estimate(|values| values.apd_normalized),
+            physical: physical(values),
             accuracy_by_action: (0..actions.len()).map(accuracy_of).collect(),
         }
     }
+}
+
+/// `None` where a repetition measured nothing physical.
+fn physical(values: &[Values]) -> Option<PhysicalFigures> {
+    let summaries: Option<Vec<Summaries>> = values.iter().map(|values| values.physical).collect();
+    summaries.map(|summaries| PhysicalFigures::new(&summaries))
 }
 
 fn share(right: impl IntoIterator<Item = (usize, usize)>) -> f64 {

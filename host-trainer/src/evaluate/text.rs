@@ -19,6 +19,9 @@ impl fmt::Display for Evaluation {
         if self.nearest_training_clip_mm.generated.is_some() {
             writeln!(out, "{}", self.distances())?;
         }
+        if let Some(table) = self.physical() {
+            writeln!(out, "{table}")?;
+        }
         for row in &self.papers {
             writeln!(out, "{}: {}", row.name, row.note)?;
         }
@@ -80,6 +83,29 @@ impl Evaluation {
             ]);
         }
         table
+    }
+
+    /// How bodies move, beside the real ones; the distance is that of the whole distribution.
+    fn physical(&self) -> Option<Table> {
+        let (generated, real) = (self.generated.physical.as_ref()?, self.real.physical.as_ref()?);
+        let mut table =
+            Table::new(["", "mean", "real", "median", "real", "95 %", "real", "distance", "real"]);
+        for ((name, decimals, one), (_, _, real)) in generated.rows().into_iter().zip(real.rows()) {
+            let (Some(one), Some(real)) = (one, real) else { continue };
+            let cell = |estimate: Estimate| format!("{:.decimals$}", estimate.mean);
+            table.push([
+                name.to_owned(),
+                cell(one.mean),
+                cell(real.mean),
+                cell(one.median),
+                cell(real.median),
+                cell(one.percentile_95),
+                cell(real.percentile_95),
+                cell(one.distance_to_real),
+                cell(real.distance_to_real),
+            ]);
+        }
+        Some(table)
     }
 
     fn distances(&self) -> Table {
