@@ -270,7 +270,7 @@ mod tests {
         let turn = |t: f64| [[0.0; 3], [t.cos(), t.sin(), 0.0]];
         assert!(values(Quantity::BoneError, &crops(20, turn))[0] < 1e-4);
         let stretch = |t: f64| {
-            let is_even = (t * RATE_HZ).round() as usize % 2 == 0;
+            let is_even = ((t * RATE_HZ).round() as usize).is_multiple_of(2);
             [[0.0; 3], [if is_even { 1.1 } else { 0.9 }, 0.0, 0.0]]
         };
         assert_all(&values(Quantity::BoneError, &crops(20, stretch)), 1, 10.0);
