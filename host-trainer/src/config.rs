@@ -412,7 +412,10 @@ mod tests {
             ("[batch]\nclips = \"many\"", "batch.clips"),
             ("[batch]\nclips = 0", "batch.clips"),
             ("[codes]\ncompose = 'add'\naction_dimensions = 31", "codes.action_dimensions"),
-            ("[codes]\ncompose = 'add'\naction_code = false", "codes.action_code"),
+            (
+                "[codes]\ncompose = 'add'\naction_dimensions = 32\naction_code = false",
+                "codes.action_code",
+            ),
             ("[schedule]\nshape = \"linear\"", "linear"),
             ("[adam]\nbeta1 = 1.0", "adam.beta1"),
             ("[time]\nsinusoid_count = 63", "time.sinusoid_count"),

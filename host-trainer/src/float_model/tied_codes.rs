@@ -1,6 +1,6 @@
-//! Layer 1 for codes that are added, and for actions without a code.
+//! Layer 1, gates and phases for codes that are added, and for actions without a code.
 //!
-//! In:  a model at its start, or the gradient of its layer 1.
+//! In:  a model at its start, or the gradient of a layer that sees the code.
 //! Out: the same, with the halves for β and α alike, or without the half for α.
 //!
 //! Why here: W·(β + α) = W·β + W·α. With the same weights twice a sum of codes is a concatenation, so neither the
@@ -19,6 +19,10 @@ pub fn tie_start(model: &mut FloatModel) {
         row.iter_mut().for_each(|weight| *weight *= spread);
     }
     first.bias.iter_mut().for_each(|bias| *bias *= spread);
+    if let Some(layer) = &mut model.modulation {
+        let rows = layer.weights.chunks_exact_mut(layer.input_count);
+        rows.for_each(|row| row.copy_within(..dimension_count, dimension_count));
+    }
 }
 
 /// Turns the gradients by both halves into that by the weights that they share.
@@ -38,8 +42,9 @@ pub fn tie_gradient(gradient: &mut DenseLayer, dimension_count: usize) {
 /// Takes α out of the model: its code stays 0, so its weights never get a gradient.
 pub fn clear_action_columns(model: &mut FloatModel) {
     let columns = model.sequence_code_count..model.code_count();
-    let first = &mut model.layers[0];
-    for row in first.weights.chunks_exact_mut(first.input_count) {
-        row[columns.clone()].fill(0.0);
+    for layer in model.layers.iter_mut().take(1).chain(&mut model.modulation) {
+        for row in layer.weights.chunks_exact_mut(layer.input_count) {
+            row[columns.clone()].fill(0.0);
+        }
     }
 }

@@ -240,7 +240,10 @@ impl<'a> Trainer<'a> {
     fn move_decoder(&mut self, rate_factor: f64) {
         let Checkpoint { config, model, optimizer, .. } = &mut self.checkpoint;
         if config.codes.compose == CodeComposition::Add {
-            tie_gradient(&mut optimizer.decoder_gradient[0], model.sequence_code_count);
+            let (first, others) = optimizer.decoder_gradient.split_at_mut(1);
+            // Layer 1 sees the code, and what follows the decoder's own layers.
+            let by_code = first.iter_mut().chain(others.iter_mut().skip(model.layers.len() - 1));
+            by_code.for_each(|layer| tie_gradient(layer, model.sequence_code_count));
         }
         let norm_max = config.update.gradient_norm_max;
         let gradient_scale = if norm_max > 0.0 {
