@@ -11,6 +11,7 @@ pub mod inspect;
 pub mod inspect_clips;
 pub mod quantize;
 pub mod reconstruct;
+pub mod reproduce;
 pub mod sampler_args;
 pub mod samplers;
 pub mod train;

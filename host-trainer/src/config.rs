@@ -289,9 +289,17 @@ impl TrainConfig {
             let remedy = "correct the syntax there";
             Error::bad_input(file, "the text", error.to_string().trim_end(), "TOML", remedy)
         })?;
+        Self::preset_with_keys(name, overrides, file)
+    }
+
+    /// A preset, with these keys in place of its own; `source` is for messages.
+    ///
+    /// # Errors
+    /// `BadInput` as [`TrainConfig::preset_with_file`].
+    pub fn preset_with_keys(name: &str, overrides: Table, source: &Path) -> Result<Self> {
         let mut table = preset_table(name)?;
-        override_keys(&mut table, overrides, "", file)?;
-        Self::from_table(table, file)
+        override_keys(&mut table, overrides, "", source)?;
+        Self::from_table(table, source)
     }
 
     /// Reads what [`TrainConfig::to_toml`] wrote; `source` is for messages.

@@ -31,4 +31,5 @@ pub mod generate;
 pub mod evaluate;
 pub mod export;
 pub mod picture;
+pub mod reproduce;
 pub mod commands;

@@ -5,7 +5,7 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 use host_trainer::commands::{
     bench, character, classify, demo, evaluate, generate, inspect, inspect_clips, quantize,
-    reconstruct, samplers, train, tune,
+    reconstruct, reproduce, samplers, train, tune,
 };
 use host_trainer::error::Result;
 
@@ -45,6 +45,8 @@ enum Verb {
     Evaluate(evaluate::EvaluateArgs),
     /// Compare samplers that fit flash
     Samplers(samplers::SamplersArgs),
+    /// Do the papers' experiments and write one report
+    Reproduce(reproduce::ReproduceArgs),
     /// Measure the speed of training
     Bench(bench::BenchArgs),
 }
@@ -72,6 +74,7 @@ fn run(verb: &Verb) -> Result<()> {
         Verb::Classify(args) => classify::run(args),
         Verb::Evaluate(args) => evaluate::run(args),
         Verb::Samplers(args) => samplers::run(args),
+        Verb::Reproduce(args) => reproduce::run(args),
         Verb::Bench(args) => bench::run(args),
     }
 }

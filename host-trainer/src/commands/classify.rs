@@ -7,9 +7,9 @@ use serde::Serialize;
 
 use crate::atomic_file::{self, Overwrite};
 use crate::body::skeleton::Skeleton;
-use crate::classifier::Description;
 use crate::classifier::example::Examples;
 use crate::classifier::train::{Settings, Trained, train};
+use crate::classifier::{Classifier, Description};
 use crate::commands::inspect_clips::ImportArgs;
 use crate::error::{Error, Result};
 use crate::hold_out::hold_out;
@@ -81,7 +81,6 @@ pub fn run(args: &ClassifyArgs) -> Result<()> {
     let overwrite = Overwrite::from_force(args.force);
     atomic_file::check(&args.out, overwrite)?;
     let settings = settings(args)?;
-    let examples = read_examples(&args.clips, &args.import, &settings)?;
     let mut threads = rayon::ThreadPoolBuilder::new();
     if let Some(thread_count) = args.threads {
         threads = threads.num_threads(thread_count);
@@ -89,13 +88,37 @@ pub fn run(args: &ClassifyArgs) -> Result<()> {
     let threads = threads.build().map_err(|error| {
         Error::bad_input("--threads", "number", error, "a number of threads", "leave it out")
     })?;
-    let bar = progress_bar(settings.steps);
-    let trained = threads.install(|| train(&examples, &settings, &bar))?;
-    let description = describe(&examples, settings, &trained);
-    let classifier = trained.classifier.with_description(description.clone());
-    classifier.save(&args.out, overwrite)?;
-    let report = report(&args.out, &examples, &description, &trained.accuracy_by_action);
+    let learned = threads.install(|| learn(&args.clips, &args.import, settings))?;
+    learned.classifier.save(&args.out, overwrite)?;
+    let Learned { examples, description, accuracy_by_action, .. } = &learned;
+    let report = report(&args.out, examples, description, accuracy_by_action);
     if args.json { print_json(&report) } else { print(text(&report)) }
+}
+
+/// A classifier, what it learned from and how it was examined.
+pub struct Learned {
+    /// Ready to be saved.
+    pub classifier: Classifier,
+    /// As its file has it.
+    pub description: Description,
+    examples: Examples,
+    accuracy_by_action: Vec<Option<f64>>,
+}
+
+/// Reads clips, trains on them and examines.
+///
+/// # Errors
+/// Those of reading clips, of the split and of [`train`].
+pub fn learn(clips: &Path, import: &ImportArgs, settings: Settings) -> Result<Learned> {
+    let examples = read_examples(clips, import, &settings)?;
+    let trained = train(&examples, &settings, &progress_bar(settings.steps))?;
+    let description = describe(&examples, settings, &trained);
+    Ok(Learned {
+        classifier: trained.classifier.with_description(description.clone()),
+        description,
+        accuracy_by_action: trained.accuracy_by_action,
+        examples,
+    })
 }
 
 fn at_least_1(text: &str) -> core::result::Result<usize, String> {

@@ -192,7 +192,7 @@ fn measure_source(
         sha256: file_hash(&args.classifier)?,
     };
     let order = args.action_order_column.as_deref();
-    let order = order.map(|column| read_order(args, column)).transpose()?;
+    let order = order.map(|column| read_order(&args.data, &args.import, column)).transpose()?;
     let judge = Judge::new(classifier, description, data, order.as_deref())?;
     evaluate(source, data, &judge, &args.protocol(), Progress::Bar)
 }
@@ -246,15 +246,15 @@ fn check_same_run(
 /// Names of the actions in the order of their numbers in another column of the labels.
 ///
 /// # Errors
-/// A column that does not number the actions from 0.
-pub fn read_order(args: &EvaluateArgs, column: &str) -> Result<Vec<String>> {
-    let (names, _) = read_clip_set(&args.data, &args.import)?;
+/// Those of reading the clips; a column that does not number the actions from 0.
+pub fn read_order(data: &Path, import: &ImportArgs, column: &str) -> Result<Vec<String>> {
+    let (names, _) = read_clip_set(data, import)?;
     let by_number = ImportArgs {
         label_action_column: Some(column.to_owned()),
         label_groups: None,
-        ..args.import.clone()
+        ..import.clone()
     };
-    let (numbers, _) = read_clip_set(&args.data, &by_number)?;
+    let (numbers, _) = read_clip_set(data, &by_number)?;
     order_of(&names, &numbers, column)
 }
 

@@ -91,6 +91,13 @@ pub struct ClipArgs {
     pub step: f64,
 }
 
+impl Default for ClipArgs {
+    fn default() -> Self {
+        let ClipOptions { clip_count, step_max, bits_mean, .. } = ClipOptions::DEFAULT;
+        Self { code_bits: bits_mean, nearest: clip_count as u16, step: step_max }
+    }
+}
+
 impl ClipArgs {
     /// As the sampler takes them.
     pub fn options(&self) -> ClipOptions {

@@ -113,7 +113,9 @@ fn measure(args: &SamplersArgs, checkpoint: &Checkpoint) -> Result<Vec<SamplerRo
         sha256: file_hash(&args.evaluate.classifier)?,
     };
     let order = args.evaluate.action_order_column.as_deref();
-    let order = order.map(|column| read_order(&args.evaluate, column)).transpose()?;
+    let order = order
+        .map(|column| read_order(&args.evaluate.data, &args.evaluate.import, column))
+        .transpose()?;
     let judge = Judge::new(&classifier, description, &data, order.as_deref())?;
     let mixtures = mixture::file::of_checkpoint(run, checkpoint)?;
     let mut rows = Vec::new();
