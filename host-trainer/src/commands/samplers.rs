@@ -206,6 +206,7 @@ mod tests {
             apd: none,
             apd_normalized: none,
             accuracy_by_action: Vec::new(),
+            physical: None,
         };
         SamplerRow { sampler: String::new(), bytes, is_on_front: false, figures }
     }

@@ -291,6 +291,6 @@ mod tests {
         let columns = [column(3), column(0), column(8), column(6)];
         // 5 = 101, 200 = 11001000, 33 = 100001; read from the right.
         let packed = packed_row(&[5.0, 9.0, 200.0, 33.0], &columns);
-        assert_eq!(packed, [0b01000_101, 0b00001_110, 0b1]);
+        assert_eq!(packed, [0b0100_0101, 0b0000_1110, 0b1]);
     }
 }
