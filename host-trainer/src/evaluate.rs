@@ -4,8 +4,8 @@
 //! Out: an [`Evaluation`]: the row of the generated motions, and the row of real ones beside it.
 //!
 //! Why here: the papers' figures depend on choices that they do not print. They are made once, in `protocol` and
-//! `crop`, and every draw is fresh in every repetition. \[published code\] seeds its mixtures anew in every call, so all its
-//! repetitions score one and the same set of motions.
+//! `crop`, and every draw is fresh in every repetition. \[published code\] seeds its mixtures anew in every call, so
+//! all its repetitions score one and the same set of motions.
 //!
 //! Source: Cervantes et al., ECCV 2022, section 4; Guo et al., ACM MM 2020; Lu et al., ECCV 2022 (APD).
 

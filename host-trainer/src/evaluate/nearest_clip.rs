@@ -4,8 +4,9 @@
 //! Out: the distance of every crop to the nearest clip, and [`Quantiles`] of many.
 //!
 //! A clip is compared over the frames of the motion's own window (a shorter clip over its last window), both minus
-//! their first kept root, the last pose repeated: the distance is the mean over all frames and joints of the distance of a
-//! joint. A decoder sees absolute time, so the copy of a clip would be at 0 here, not at a shifted window's distance.
+//! their first kept root, the last pose repeated: the distance is the mean over all frames and joints of the distance
+//! of a joint. A decoder sees absolute time, so the copy of a clip would be at 0 here, not at a shifted window's
+//! distance.
 //!
 //! Why here: MMS asks the same in the space of features, which is blind to much; this needs no classifier.
 
