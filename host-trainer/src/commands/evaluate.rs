@@ -69,9 +69,9 @@ pub struct EvaluateArgs {
     #[arg(long, value_name = "COLUMN")]
     pub action_order_column: Option<String>,
     /// Of a run: decode the clips' own codes instead of new ones, which shows what the decoder alone loses.
-    #[arg(long)]
+    #[arg(long, conflicts_with = "sampler")]
     pub replay: bool,
-    /// Also write evaluation.svg and evaluation.json into this folder.
+    /// Also write the figures, as JSON and as a picture, into this folder.
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
     /// Replace existing files.
@@ -102,7 +102,8 @@ fn at_least_one() -> clap::builder::RangedU64ValueParser<usize> {
 }
 
 impl EvaluateArgs {
-    pub(super) fn protocol(&self) -> Protocol {
+    /// What the flags say of the measurement.
+    pub fn protocol(&self) -> Protocol {
         Protocol {
             repetitions: self.repetitions,
             seed: self.seed,

@@ -1,7 +1,5 @@
 //! `host-trainer samplers`: what every sampler that could fit flash scores, and what it costs.
 
-use std::path::PathBuf;
-
 use serde::Serialize;
 
 use crate::atomic_file::{self, Overwrite};
@@ -33,12 +31,6 @@ pub struct SamplersArgs {
     /// Families to measure, with commas; mixtures of large codes take many minutes to fit.
     #[arg(long, value_enum, value_delimiter = ',', default_values = ["intervals", "choice", "coding", "mixtures"])]
     pub families: Vec<Family>,
-    /// Folder for the table as JSON and the front as a picture.
-    #[arg(long, value_name = "DIR")]
-    pub out: Option<PathBuf>,
-    /// Replace existing files.
-    #[arg(long)]
-    pub force: bool,
 }
 
 /// One sampler, measured.
@@ -79,9 +71,10 @@ pub fn run(args: &SamplersArgs) -> Result<()> {
             "give the run that the blob was made of",
         ));
     }
-    args.evaluate.sampler.check_none(source)?;
-    let files = args.out.as_ref().map(|out| [out.join("samplers.json"), out.join("samplers.svg")]);
-    let overwrite = Overwrite::from_force(args.force);
+    check_flags(args)?;
+    let files =
+        args.evaluate.out.as_ref().map(|out| [out.join("samplers.json"), out.join("samplers.svg")]);
+    let overwrite = Overwrite::from_force(args.evaluate.force);
     files.iter().flatten().try_for_each(|file| atomic_file::check(file, overwrite))?;
     let checkpoint = Checkpoint::load(source)?;
     let mut rows = measure(args, &checkpoint)?;
@@ -92,7 +85,7 @@ pub fn run(args: &SamplersArgs) -> Result<()> {
         seed: args.evaluate.seed,
         rows: &rows,
     };
-    if let (Some([table, picture]), Some(out)) = (&files, &args.out) {
+    if let (Some([table, picture]), Some(out)) = (&files, &args.evaluate.out) {
         std::fs::create_dir_all(out).map_err(Error::io("create", out))?;
         let json = serde_json::to_vec_pretty(&report);
         let json = json.unwrap_or_else(|error| unreachable!("plain structs: {error}"));
@@ -102,6 +95,22 @@ pub fn run(args: &SamplersArgs) -> Result<()> {
         eprintln!("wrote {} and {}", table.display(), picture.display());
     }
     if args.evaluate.json { print_json(&report) } else { print(table(&rows)) }
+}
+
+/// Flags of `evaluate` that choose what is measured have no place here.
+fn check_flags(args: &SamplersArgs) -> Result<()> {
+    let given = [
+        ("--sampler", args.evaluate.sampler.sampler.is_some()),
+        ("--replay", args.evaluate.replay),
+    ];
+    match given.into_iter().find(|(_, is_given)| *is_given) {
+        None => Ok(()),
+        Some((flag, _)) => {
+            let source = &args.evaluate.source;
+            let remedy = "leave it out, or use `evaluate`";
+            Err(Error::bad_input(source, flag, "given", "--families", remedy))
+        }
+    }
 }
 
 fn measure(args: &SamplersArgs, checkpoint: &Checkpoint) -> Result<Vec<SamplerRow>> {

@@ -3,7 +3,7 @@
 //! In:  rows of numbers, the noise that every column gets anyway, and how many bits a row may have.
 //! Out: [`Column`]s, to `nearest_clips` and `quantize`.
 //!
-//! Why here: the decoder has learned to ignore differences below a code's own σ, so an error far below it costs nothing.
+//! Why here: the decoder has learned to ignore differences below a code's own σ, so a small share of it costs nothing.
 //! Bits go where an error is largest in units of that σ, one after another (Cover and Thomas, "Elements of Information
 //! Theory", 10.3.3: reverse water-filling). Rotating the codes to their principal axes first gained nothing on
 //! HumanAct12: the axes that training finds are as good.
