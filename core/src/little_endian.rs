@@ -23,8 +23,3 @@ pub(crate) fn i32s(bytes: &[u8]) -> impl ExactSizeIterator<Item = i32> + '_ {
 pub(crate) fn u32s(bytes: &[u8]) -> impl ExactSizeIterator<Item = u32> + '_ {
     i32s(bytes).map(i32::cast_unsigned)
 }
-
-/// The `i8`s of a tensor.
-pub(crate) fn i8s(bytes: &[u8]) -> impl ExactSizeIterator<Item = i8> + '_ {
-    bytes.iter().map(|&byte| byte.cast_signed())
-}

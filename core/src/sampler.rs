@@ -11,7 +11,7 @@
 
 use crate::code::{Code, interpolate};
 use crate::error::{BlobError, SampleError};
-use crate::little_endian::{i8s, i16s, i32s, u16s};
+use crate::little_endian::{i16s, i32s, u16s};
 use crate::manifest::{
     COLUMN_BYTES, INTERVAL_BYTES, MEMBER_BYTES, Manifest, SamplerKind, TensorKind,
 };
@@ -224,71 +224,46 @@ impl<'a> Sampler<'a> {
         match self.kind {
             SamplerKind::ClipCodes => self.sample_clip(&interval, random, code),
             SamplerKind::DiagonalMixture => self.sample_gaussian(&interval, random, code),
-            SamplerKind::NearestClips { clip_count, row_bytes } => {
+            SamplerKind::NearestClips { clip_count, .. } => {
                 let nearest = self.nearest(&interval, frames, u32::from(clip_count));
-                let row = |clip| self.clip(nearest.member_first + clip, row_bytes);
-                self.sample_between(&nearest, row, random, code);
+                self.sample_clip(&nearest, random, code);
             }
         }
         code.append(self.action_code(action));
         Ok(())
     }
 
-    fn sample_clip(&self, interval: &Interval, random: &mut impl FnMut() -> u32, code: &mut Code) {
-        let row = |member| self.mean(self.component_of(interval, member));
-        self.sample_between(interval, row, random, code);
-    }
-
     /// One of the interval's members, moved towards another, with noise.
-    #[inline(always)]
-    fn sample_between<R: Iterator<Item = i16>>(
-        &self,
-        interval: &Interval,
-        row: impl Fn(u32) -> R,
-        random: &mut impl FnMut() -> u32,
-        code: &mut Code,
-    ) {
+    // Never twice in an image: two kinds call it.
+    #[inline(never)]
+    fn sample_clip(&self, interval: &Interval, random: &mut impl FnMut() -> u32, code: &mut Code) {
         let chosen = below(interval.member_count, random);
         // Any of the others with equal chance; the clip itself when it is alone.
         let skip = 1 + below(interval.member_count.saturating_sub(1), random);
         let neighbour = (chosen + skip) % interval.member_count.max(1);
         let fraction = (i64::from(random()) * i64::from(self.step_max_q16)) >> 32;
+        let from = self.mean(self.component_of(interval, chosen));
+        let to = self.mean(self.component_of(interval, neighbour));
         let spread = i64::from(interval.spread);
         let sigmas =
             i32s(self.deviation_steps).map(|step| ((i64::from(step) * spread) >> 12) as i32);
-        let means =
-            row(chosen).zip(row(neighbour)).map(|(from, to)| interpolate(from, to, fraction));
+        let means = from.zip(to).map(|(from, to)| interpolate(from, to, fraction));
         let values = means.zip(sigmas);
         code.append(values.map(|(mean, sigma)| add_noise(mean, sigma, random)));
     }
 
     /// The `clip_count` clips of an action that are nearest in length, as many shorter as longer ones where there are.
     fn nearest(&self, action: &Interval, frames: u32, clip_count: u32) -> Interval {
-        let count_of = |is_before: &dyn Fn(u32) -> bool| {
-            self.lengths_of(action).take_while(|&length| is_before(u32::from(length))).count()
-                as u32
-        };
-        let middle =
-            (count_of(&|length| length < frames) + count_of(&|length| length <= frames)) / 2;
+        // Twice the place between the shorter and the longer ones.
+        let places = self.lengths_of(action).map(|length| {
+            let length = u32::from(length);
+            u32::from(length < frames) + u32::from(length <= frames)
+        });
+        let middle = places.sum::<u32>() / 2;
         let member_count = clip_count.min(action.member_count);
         let skipped = middle.saturating_sub(member_count / 2);
         let member_first = action.member_first + skipped.min(action.member_count - member_count);
         Interval { member_first, member_count, ..*action }
-    }
-
-    /// A clip's code in code units.
-    fn clip(&self, clip: u32, row_bytes: u16) -> impl Iterator<Item = i16> + use<'a> {
-        let start = clip as usize * usize::from(row_bytes);
-        let row = self.components.get(start..).unwrap_or_default();
-        let mut bit = 0;
-        self.columns().zip(i32s(self.component_steps)).map(move |(column, step)| {
-            let byte = |index: usize| row.get(index).copied().unwrap_or(0);
-            let pair = u16::from_le_bytes([byte(bit / 8), byte(bit / 8 + 1)]);
-            let number = pair >> (bit % 8) & ((1 << column.bits) - 1);
-            bit += usize::from(column.bits);
-            let product = i64::from(number) * i64::from(step) + (1 << 7);
-            saturate(i64::from(column.least) + (product >> 8))
-        })
     }
 
     fn sample_gaussian(
@@ -313,10 +288,25 @@ impl<'a> Sampler<'a> {
 
     /// A component's mean in code units.
     fn mean(&self, component: u16) -> impl Iterator<Item = i16> + use<'a> {
-        let row = i8s(self.row(self.components, component));
-        row.zip(i32s(self.component_steps)).map(|(value, step)| {
-            let product = i64::from(value) * i64::from(step);
-            saturate((product + (1 << 7)) >> 8)
+        let row_bytes = match self.kind {
+            SamplerKind::NearestClips { row_bytes, .. } => usize::from(row_bytes),
+            SamplerKind::ClipCodes | SamplerKind::DiagonalMixture => self.sequence_code_count,
+        };
+        let row = self.components.get(usize::from(component) * row_bytes..).unwrap_or_default();
+        let columns = self.columns.as_chunks::<COLUMN_BYTES>().0;
+        let mut bit = 0;
+        i32s(self.component_steps).enumerate().map(move |(index, step)| {
+            let byte = |index: usize| row.get(index).copied().unwrap_or(0);
+            let (least, number) = match columns.get(index).map(Column::parse) {
+                None => (0, i64::from(byte(index).cast_signed())),
+                Some(column) => {
+                    let pair = u16::from_le_bytes([byte(bit / 8), byte(bit / 8 + 1)]);
+                    let number = pair >> (bit % 8) & ((1 << column.bits) - 1);
+                    bit += usize::from(column.bits);
+                    (i64::from(column.least), i64::from(number))
+                }
+            };
+            saturate(least + ((number * i64::from(step) + (1 << 7)) >> 8))
         })
     }
 
@@ -332,7 +322,10 @@ impl<'a> Sampler<'a> {
     }
 
     fn component_of(&self, interval: &Interval, member: u32) -> u16 {
-        self.member(interval, member).map_or(0, |member| member.0)
+        match self.kind {
+            SamplerKind::NearestClips { .. } => (interval.member_first + member) as u16,
+            _ => self.member(interval, member).map_or(0, |member| member.0),
+        }
     }
 
     /// (component, cumulative weight)
