@@ -20,6 +20,7 @@ mod sine;
 mod elu;
 pub mod random;
 pub mod manifest;
+mod code_half;
 pub mod blob;
 mod descriptions;
 pub mod packing;

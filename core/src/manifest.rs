@@ -7,6 +7,7 @@
 
 use serde::Serialize;
 
+pub use crate::code_half::GATE_MAX;
 use crate::limits::LAYERS_MAX;
 use crate::pose_layout::{GroupKind, Unit};
 pub use crate::sampler_shape::{SamplerKind, SamplerShape};
@@ -196,47 +197,6 @@ impl Manifest<'_> {
     }
 }
 
-impl Manifest<'_> {
-    /// Whether the decoder has gates: the code half then has a row for each behind those of layer 1.
-    ///
-    /// A gate multiplies the sum of a hidden unit by what a row of the code half makes of a motion's code: 0 to 1 in
-    /// Q0.16, times [`GATE_MAX`] (in `f16` 0 to 1). Rows come layer after layer, each layer's filled up to a multiple
-    /// of 4, layer 1's own too.
-    pub fn has_gates(&self) -> bool {
-        self.rows_of(CODE_LAYER) != self.rows_of(TIME_LAYER)
-    }
-
-    /// Whether every frequency has a phase besides: a row of the code half behind the gates, filled up like them, in
-    /// turns (Q16).
-    pub fn has_phases(&self) -> bool {
-        self.has_gates() && self.rows_of(CODE_LAYER) > self.phase_row()
-    }
-
-    /// The code half's row of the first gate, behind those of layer 1.
-    pub(crate) fn gate_row(&self) -> usize {
-        self.layers.get(TIME_LAYER).map_or(0, LayerShape::rows_filled)
-    }
-
-    /// The code half's row of the first phase.
-    pub(crate) fn phase_row(&self) -> usize {
-        let hidden = self.layers.len().saturating_sub(1);
-        let filled = |shape: &LayerShape| shape.rows_filled();
-        let gates: usize = self.layers.iter().take(hidden).skip(TIME_LAYER).map(filled).sum();
-        self.gate_row() + gates
-    }
-
-    /// Outputs of the code half: those of layer 1, or those and the gates, or those and gates and phases.
-    pub(crate) fn code_rows_suit(&self) -> bool {
-        let phases = usize::from(self.frequency_count).next_multiple_of(4);
-        let rows = self.rows_of(CODE_LAYER);
-        !self.has_gates() || rows == self.phase_row() || rows == self.phase_row() + phases
-    }
-
-    fn rows_of(&self, index: usize) -> usize {
-        self.layers.get(index).map_or(0, |shape| usize::from(shape.output_count))
-    }
-}
-
 impl ActivationScale {
     /// Of a layer without an ELU.
     pub const NONE: Self =
@@ -340,8 +300,6 @@ pub(crate) const COLUMN_BYTES: usize = 4;
 pub(crate) const MEMBER_BYTES: usize = 4;
 /// Index of the code half of layer 1 in [`Manifest::layers`].
 pub const CODE_LAYER: usize = 0;
-/// Largest gate: what the 1 of a gate's row stands for.
-pub const GATE_MAX: u32 = 2;
 /// Index of the time half of layer 1 in [`Manifest::layers`].
 pub const TIME_LAYER: usize = 1;
 
