@@ -62,16 +62,16 @@ impl<'a> RealSide<'a> {
             let (_, _, training) = score(Role::Real)?;
             let mut real = RealScores { training, held_out: None };
             if why_not_held_out.is_none() {
-                let (chosen, crops, held_out) = score(Role::HeldOut)?;
+                let (_, crops, held_out) = score(Role::HeldOut)?;
                 if let Some(clips) = &clips {
-                    held_out_mm.extend(clips.nearest_mm(&crops, &chosen.actions(), |_| None));
+                    held_out_mm.extend(clips.nearest_mm(&crops, |_| None));
                 }
                 real.held_out = Some(held_out.gaussian);
             }
             let (chosen, crops, again) = score(Role::RealAgain)?;
             if let Some(clips) = &clips {
                 let own = |motion: usize| Some(chosen.indices[motion]);
-                training_mm.extend(clips.nearest_mm(&crops, &chosen.actions(), own));
+                training_mm.extend(clips.nearest_mm(&crops, own));
             }
             let mut pairs = roster.pair_stream(Role::RealAgain, repetition);
             row.push(&again, &real, judge.feature_count(), &mut pairs);
@@ -183,7 +183,7 @@ mod tests {
         let classifier = Classifier::load(&file).unwrap();
         let description = ClassifierDescription { file: String::new(), sha256: String::new() };
         let judge = Judge::new(&classifier, description, &data, None).unwrap();
-        let protocol = Protocol { repetitions: 2, ..Protocol::default() };
+        let protocol = Protocol { repetitions: 1, ..Protocol::default() };
         let real = RealSide::measure(&data, &judge, &protocol, Progress::Hidden).unwrap();
         Some((real.figures.clone(), real.description()))
     }
