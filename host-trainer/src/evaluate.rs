@@ -80,7 +80,7 @@ pub fn evaluate_beside(
         let mut pairs = real.roster.pair_stream(Role::Generated, repetition);
         row.push(&motions, scores, real.judge.feature_count(), &mut pairs);
         if let Some(clips) = &real.clips {
-            nearest_mm.extend(clips.nearest_mm(&crops, &motions.actions, |_| None));
+            nearest_mm.extend(clips.nearest_mm(&crops, |_| None));
         }
         bar.set_position((repetition + 1) as u64 * BAR_LENGTH / repetitions as u64);
     }

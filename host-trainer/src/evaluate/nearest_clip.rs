@@ -19,6 +19,10 @@ use crate::simd::vectorized;
 
 /// Frames between two looks whether a clip can still be the nearest.
 const FRAMES_PER_LOOK: usize = 6;
+/// Joints that are computed side by side.
+const LANES: usize = 8;
+/// What rounding may add to a bound, relative to it and in metres.
+const BOUND_SLACK: (f32, f32) = (1e-3, 1e-3);
 
 /// Training clips in the order x of all joints, y of all joints, z of all joints, which vectorises.
 pub(super) struct TrainingClips {
@@ -27,18 +31,29 @@ pub(super) struct TrainingClips {
 }
 
 struct Planar {
-    action: usize,
     frame_count: usize,
     /// // (frame, xyz, joint)
     positions: Vec<f32>,
+    /// Sums of the positions of all frames before each, and of all. // (frame + 1, xyz, joint)
+    sums: Vec<f64>,
+}
+
+/// A clip that may be the nearest.
+struct Candidate {
+    clip: usize,
+    /// No sum of distances is below it.
+    bound: f32,
 }
 
 impl TrainingClips {
     pub fn new(clips: &[RealMotion], joint_count: usize) -> Self {
-        let planar = |clip: &RealMotion| Planar {
-            action: clip.action,
-            frame_count: clip.frame_count,
-            positions: planar(&clip.positions, joint_count),
+        let planar = |clip: &RealMotion| {
+            let positions = planar(&clip.positions, joint_count);
+            Planar {
+                frame_count: clip.frame_count,
+                sums: running_sums(&positions, 3 * joint_count),
+                positions,
+            }
         };
         Self { joint_count, clips: clips.par_iter().map(planar).collect() }
     }
@@ -47,24 +62,42 @@ impl TrainingClips {
     pub fn nearest_mm(
         &self,
         crops: &Crops,
-        actions: &[usize],
         excluded: impl Fn(usize) -> Option<usize> + Sync,
     ) -> Vec<f64> {
         let nearest = |motion: usize| {
             let positions = planar(crops.motion(motion), self.joint_count);
-            let others = |&clip: &usize| excluded(motion) != Some(clip);
-            // Clips of the action first: the nearest is mostly among them, and ends the others' sums early.
-            let is_of_action = |&clip: &usize| self.clips[clip].action == actions[motion];
-            let of_action = (0..self.clips.len()).filter(is_of_action);
-            let of_others = (0..self.clips.len()).filter(|clip| !is_of_action(clip));
             let first = crops.windows[motion].first;
-            let best =
-                of_action.chain(of_others).filter(others).fold(f32::INFINITY, |best, clip| {
-                    self.sum_below(&positions, first, crops.frame_count, &self.clips[clip], best)
-                });
+            let candidates = self.candidates(&positions, first, crops.frame_count);
+            let others = candidates.iter().filter(|other| excluded(motion) != Some(other.clip));
+            let best = others.fold(f32::INFINITY, |best, candidate| {
+                if candidate.bound >= best {
+                    return best;
+                }
+                self.sum_below(&positions, first, crops.frame_count, candidate.clip, best)
+            });
             1000.0 * f64::from(best) / (crops.frame_count * self.joint_count) as f64
         };
         (0..crops.motion_count()).into_par_iter().map(nearest).collect()
+    }
+
+    /// All clips, the least bound first. The mean distance of a joint over the frames is never less than the distance of
+    /// its mean positions.
+    fn candidates(&self, motion: &[f32], first: usize, frame_count: usize) -> Vec<Candidate> {
+        let width = 3 * self.joint_count;
+        let sums = running_sums(motion, width);
+        let mean = |sum: &f64| (sum / frame_count as f64) as f32;
+        let own: Vec<f32> = sums[sums.len() - width..].iter().map(mean).collect();
+        let mut other = vec![0.0; width];
+        let bound_of = |(clip, planar): (usize, &Planar)| {
+            let start = planar.start(first, frame_count);
+            planar.mean(start, frame_count, &mut other);
+            let distance = sum_of_distances(&own, &other, planar.root(start, self.joint_count));
+            let bound = distance * frame_count as f32;
+            Candidate { clip, bound: bound * (1.0 - BOUND_SLACK.0) - BOUND_SLACK.1 }
+        };
+        let mut candidates: Vec<_> = self.clips.iter().enumerate().map(bound_of).collect();
+        candidates.sort_by(|one, other| one.bound.total_cmp(&other.bound));
+        candidates
     }
 
     /// The sum of all joints' distances if it is below `best`, else `best`.
@@ -73,18 +106,17 @@ impl TrainingClips {
         motion: &[f32],
         first: usize,
         frame_count: usize,
-        clip: &Planar,
+        clip: usize,
         best: f32,
     ) -> f32 {
-        let width = 3 * self.joint_count;
-        let start = first.min(clip.frame_count.saturating_sub(frame_count));
-        let root = [0, 1, 2].map(|axis| clip.positions[start * width + axis * self.joint_count]);
+        let (width, clip) = (3 * self.joint_count, &self.clips[clip]);
+        let start = clip.start(first, frame_count);
+        let root = clip.root(start, self.joint_count);
         let mut sum = 0.0;
         for (index, poses) in motion.chunks(FRAMES_PER_LOOK * width).enumerate() {
             for (offset, pose) in poses.chunks_exact(width).enumerate() {
-                let frame = start + index * FRAMES_PER_LOOK + offset;
-                let frame = frame.min(clip.frame_count - 1);
-                sum += self.distance(pose, &clip.positions[frame * width..][..width], root);
+                let frame = (start + index * FRAMES_PER_LOOK + offset).min(clip.frame_count - 1);
+                sum += sum_of_distances(pose, &clip.positions[frame * width..][..width], root);
             }
             if sum >= best {
                 return best;
@@ -92,34 +124,71 @@ impl TrainingClips {
         }
         sum
     }
+}
 
-    /// Sum of the joints' distances of one pose. // pose, other: (xyz, joint)
-    fn distance(&self, pose: &[f32], other: &[f32], root: [f32; 3]) -> f32 {
-        const LANES: usize = 8;
-        let (x, rest) = pose.split_at(self.joint_count);
-        let (y, z) = rest.split_at(self.joint_count);
-        let (other_x, rest) = other.split_at(self.joint_count);
-        let (other_y, other_z) = rest.split_at(self.joint_count);
-        vectorized(|| {
-            let mut sums = [0.0_f32; LANES];
-            let joint = |index: usize| {
-                let dx = x[index] - (other_x[index] - root[0]);
-                let dy = y[index] - (other_y[index] - root[1]);
-                let dz = z[index] - (other_z[index] - root[2]);
-                (dx * dx + dy * dy + dz * dz).sqrt()
-            };
-            let whole = x.len() / LANES * LANES;
-            for start in (0..whole).step_by(LANES) {
-                for (lane, sum) in sums.iter_mut().enumerate() {
-                    *sum += joint(start + lane);
-                }
-            }
-            for index in whole..x.len() {
-                sums[0] += joint(index);
-            }
-            sums.iter().sum()
-        })
+impl Planar {
+    /// First frame of the window that a motion's window is compared with.
+    fn start(&self, first: usize, frame_count: usize) -> usize {
+        first.min(self.frame_count.saturating_sub(frame_count))
     }
+
+    /// The root's position at a frame.
+    fn root(&self, frame: usize, joint_count: usize) -> [f32; 3] {
+        [0, 1, 2].map(|axis| self.positions[(3 * frame + axis) * joint_count])
+    }
+
+    /// Mean pose of a window, in which the last pose stands for the frames beyond it. // mean: (xyz, joint)
+    fn mean(&self, start: usize, frame_count: usize, mean: &mut [f32]) {
+        let width = mean.len();
+        let end = (start + frame_count).min(self.frame_count);
+        let repeated = (start + frame_count - end) as f64;
+        let (before, after) = (&self.sums[start * width..], &self.sums[end * width..]);
+        let last = &self.positions[(self.frame_count - 1) * width..];
+        for (((mean, before), after), last) in mean.iter_mut().zip(before).zip(after).zip(last) {
+            *mean = ((after - before + repeated * f64::from(*last)) / frame_count as f64) as f32;
+        }
+    }
+}
+
+/// Sums of the poses before each frame, and of all. // (frame + 1, width)
+fn running_sums(positions: &[f32], width: usize) -> Vec<f64> {
+    let mut sums = vec![0.0; width];
+    for pose in positions.chunks_exact(width) {
+        let before = sums.len() - width;
+        for (channel, value) in pose.iter().enumerate() {
+            sums.push(sums[before + channel] + f64::from(*value));
+        }
+    }
+    sums
+}
+
+/// Sum over the joints of the distance between a pose and another minus its root. // (xyz, joint) each
+fn sum_of_distances(pose: &[f32], other: &[f32], root: [f32; 3]) -> f32 {
+    let ([x, y, z], [other_x, other_y, other_z]) = (axes(pose), axes(other));
+    let length = |pose: [f32; 3], other: [f32; 3]| {
+        let difference = [0, 1, 2].map(|axis| pose[axis] - (other[axis] - root[axis]));
+        difference.iter().map(|value| value * value).sum::<f32>().sqrt()
+    };
+    vectorized(|| {
+        let mut sums = [0.0_f32; LANES];
+        let pairs = x.0.iter().zip(other_x.0).zip(y.0.iter().zip(other_y.0));
+        for (((x, a), (y, b)), (z, c)) in pairs.zip(z.0.iter().zip(other_z.0)) {
+            for lane in 0..LANES {
+                sums[lane] += length([x[lane], y[lane], z[lane]], [a[lane], b[lane], c[lane]]);
+            }
+        }
+        let pairs = x.1.iter().zip(other_x.1).zip(y.1.iter().zip(other_y.1));
+        for (((x, a), (y, b)), (z, c)) in pairs.zip(z.1.iter().zip(other_z.1)) {
+            sums[0] += length([*x, *y, *z], [*a, *b, *c]);
+        }
+        sums.iter().sum()
+    })
+}
+
+/// x, y and z of all joints, whole registers and what is left.
+fn axes(pose: &[f32]) -> [(&[[f32; LANES]], &[f32]); 3] {
+    let joint_count = pose.len() / 3;
+    [0, 1, 2].map(|axis| pose[axis * joint_count..][..joint_count].as_chunks())
 }
 
 /// (frame, joint, xyz) → (frame, xyz, joint).
@@ -196,17 +265,13 @@ mod tests {
         crops
     }
 
-    fn actions(real: &RealMotions) -> Vec<usize> {
-        real.training.iter().map(|clip| clip.action).collect()
-    }
-
     #[test]
     fn copy_of_a_clip_is_at_zero_in_every_window() {
         let real = real();
         let clips = TrainingClips::new(&real.training, 3);
         for (first, frame_count) in [(0, 20), (7, 20), (0, 50)] {
             let crops = crops_of(&real, first, frame_count);
-            let distances = clips.nearest_mm(&crops, &actions(&real), |_| None);
+            let distances = clips.nearest_mm(&crops, |_| None);
             assert!(distances.iter().all(|&distance| distance < 1e-3), "{first} {frame_count}");
         }
     }
@@ -215,7 +280,7 @@ mod tests {
     fn excluded_clip_is_not_the_nearest() {
         let real = real();
         let clips = TrainingClips::new(&real.training, 3);
-        let distances = clips.nearest_mm(&crops_of(&real, 0, 20), &actions(&real), Some);
+        let distances = clips.nearest_mm(&crops_of(&real, 0, 20), Some);
         assert!(distances.iter().all(|&distance| distance > 10.0), "{distances:?}");
     }
 
@@ -232,8 +297,31 @@ mod tests {
             pose[3] += 0.03;
             pose[5] += 0.04;
         }
-        let distance = clips.nearest_mm(&crops, &[0], |_| None)[0];
+        let distance = clips.nearest_mm(&crops, |_| None)[0];
         assert!((distance - 50.0 / 6.0).abs() < 1e-3, "{distance}");
+    }
+
+    #[test]
+    fn nearest_is_that_of_all_clips_one_by_one() {
+        let real = real();
+        let all = TrainingClips::new(&real.training, 3);
+        for (first, frame_count) in [(0, 20), (7, 20), (0, 50)] {
+            let mut crops = crops_of(&real, first, frame_count);
+            // So that no motion is a clip.
+            for (index, value) in crops.positions.iter_mut().enumerate() {
+                *value += 0.3 * (index as f32 * 0.37).sin();
+            }
+            let one_by_one = real
+                .training
+                .chunks(1)
+                .map(|clip| TrainingClips::new(clip, 3).nearest_mm(&crops, |_| None));
+            let least = |least: Vec<f64>, other: Vec<f64>| {
+                least.iter().zip(&other).map(|(a, b)| a.min(*b)).collect::<Vec<f64>>()
+            };
+            let expected = one_by_one.reduce(least).unwrap();
+            let found = all.nearest_mm(&crops, |_| None);
+            assert!(found.iter().zip(&expected).all(|(a, b)| (a - b).abs() < 1e-6));
+        }
     }
 
     #[test]

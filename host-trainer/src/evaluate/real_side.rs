@@ -62,16 +62,16 @@ impl<'a> RealSide<'a> {
             let (_, _, training) = score(Role::Real)?;
             let mut real = RealScores { training, held_out: None };
             if why_not_held_out.is_none() {
-                let (chosen, crops, held_out) = score(Role::HeldOut)?;
+                let (_, crops, held_out) = score(Role::HeldOut)?;
                 if let Some(clips) = &clips {
-                    held_out_mm.extend(clips.nearest_mm(&crops, &chosen.actions(), |_| None));
+                    held_out_mm.extend(clips.nearest_mm(&crops, |_| None));
                 }
                 real.held_out = Some(held_out.gaussian);
             }
             let (chosen, crops, again) = score(Role::RealAgain)?;
             if let Some(clips) = &clips {
                 let own = |motion: usize| Some(chosen.indices[motion]);
-                training_mm.extend(clips.nearest_mm(&crops, &chosen.actions(), own));
+                training_mm.extend(clips.nearest_mm(&crops, own));
             }
             let mut pairs = roster.pair_stream(Role::RealAgain, repetition);
             row.push(&again, &real, judge.feature_count(), &mut pairs);
@@ -144,4 +144,68 @@ fn why_not_held_out(data: &RealMotions, judge: &Judge<'_>, roster: &Roster<'_>) 
         None => return None,
     };
     Some(format!("no held-out FID: {reason}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::PathBuf;
+
+    use super::*;
+    use crate::body::skeleton::Skeleton;
+    use crate::classifier::Classifier;
+    use crate::evaluate::report::ClassifierDescription;
+    use crate::hold_out::hold_out;
+    use crate::import::labels::LabelOptions;
+    use crate::import::{self, ImportOptions};
+
+    /// A path below `shared/data`, or `None` with a loud word when this machine has no such data.
+    fn shared(path: &str) -> Option<PathBuf> {
+        let roots = ["/../../shared", "/../../../shared"];
+        let at = |up| PathBuf::from(format!("{}{up}/data/{path}", env!("CARGO_MANIFEST_DIR")));
+        let found = roots.into_iter().map(at).find(|path| path.exists());
+        if found.is_none() {
+            assert!(std::env::var_os("CI").is_none(), "CI needs shared/data/{path}");
+            eprintln!("SKIPPED: shared/data/{path} is not on this machine");
+        }
+        found
+    }
+
+    /// HumanAct12's real motions with a share held out.
+    fn humanact12(share: f64) -> Option<(Figures, DataDescription)> {
+        let labels =
+            LabelOptions { action_column: Some("coarse".to_owned()), ..LabelOptions::default() };
+        let options = ImportOptions { labels, rate_hz: Some(20.0), ..ImportOptions::default() };
+        let mut clip_set = import::read(&shared("humanact12/clips")?, &options).unwrap();
+        clip_set.skeleton = Some(Skeleton::smpl24());
+        let (training, held_out) = hold_out(clip_set, share, 1).unwrap();
+        let data = RealMotions::new(&training, held_out.as_ref()).unwrap();
+        let file = shared("a2m_classifiers/humanact12.safetensors")?;
+        let classifier = Classifier::load(&file).unwrap();
+        let description = ClassifierDescription { file: String::new(), sha256: String::new() };
+        let judge = Judge::new(&classifier, description, &data, None).unwrap();
+        let protocol = Protocol { repetitions: 1, ..Protocol::default() };
+        let real = RealSide::measure(&data, &judge, &protocol, Progress::Hidden).unwrap();
+        Some((real.figures.clone(), real.description()))
+    }
+
+    #[test]
+    fn real_clips_of_humanact12_have_the_papers_figures() {
+        let Some((figures, data)) = humanact12(0.0) else { return };
+        assert_eq!((data.training_clip_count, data.joint_count), (1191, 24));
+        assert!(figures.fid.mean <= 0.03, "{figures:?}");
+        assert!(figures.accuracy.mean >= 0.995, "{figures:?}");
+        // Diversity is a mean of 200 pairs, so it varies by about 0.15.
+        assert!((figures.diversity.mean - 6.85).abs() < 0.5, "{figures:?}");
+        assert!((figures.multimodality.mean - 2.45).abs() < 0.3, "{figures:?}");
+        assert!((figures.mms.mean - 0.33).abs() < 0.02, "{figures:?}");
+        assert!((figures.apd_normalized.mean - 100.0).abs() < 2.0, "{figures:?}");
+    }
+
+    #[test]
+    fn held_out_clips_of_humanact12_are_a_fifth_of_a_fid_away() {
+        let Some((figures, data)) = humanact12(0.2) else { return };
+        assert_eq!(data.training_clip_count + data.held_out_clip_count, 1191);
+        let distance = figures.fid_held_out.unwrap().mean;
+        assert!((0.12..0.28).contains(&distance), "{distance}");
+    }
 }
