@@ -39,7 +39,7 @@ pub struct DemoArgs {
     #[arg(long, default_value = "small")]
     pub preset: String,
     /// Training steps.
-    #[arg(long, default_value_t = 18_000)]
+    #[arg(long, default_value_t = 6_000)]
     pub steps: u64,
     /// Seed of clips, training and motions.
     #[arg(long, default_value_t = 7)]
