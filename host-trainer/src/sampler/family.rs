@@ -1,4 +1,4 @@
-//! Every sampler that was measured for `ARCHITECTURE.md`, "How motions are drawn".
+//! The samplers that the command `samplers` compares.
 //!
 //! In:  a checkpoint and its mixtures.
 //! Out: samplers to the command `samplers`.
