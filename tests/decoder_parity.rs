@@ -24,10 +24,10 @@ use tests::{
 };
 
 /// Least signal-to-noise ratio in dB, and largest error in degrees, for every servo together, with gates and with
-/// phases. Half of what was measured, because training differs from machine to machine. `w8a8` cuts off what one draw in
-/// hundreds reaches where its gates are all wide open; that pose was 4.2° off, the next ones 0.3°.
+/// phases. Half of what was measured, because training differs from machine to machine and rates this high leave wide
+/// ranges behind.
 const BOUNDS: [(&str, f64, f64); 4] =
-    [("w8a16", 40.0, 0.5), ("w8a8", 28.0, 8.0), ("w4a8", 18.0, 8.0), ("f16", 66.0, 0.03)];
+    [("w8a16", 35.0, 1.2), ("w8a8", 28.0, 8.0), ("w4a8", 11.0, 18.0), ("f16", 62.0, 0.07)];
 
 #[test]
 fn every_format_stays_within_its_bound_after_training() {

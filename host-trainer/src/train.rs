@@ -362,7 +362,7 @@ mod tests {
     const VARIANTS: [&str; 6] = [
         "",
         "[update]\norder = 'alternate'\ndecoder_step = 'epoch'\ngradient_norm_max = 0.5",
-        "[update]\ncode_rows = 'dense'\n[loss]\nreduction = 'kind'",
+        "[update]\ncode_rows = 'dense'\n[batch]\nsampling = 'spread'",
         "[codes]\naction_variational = false\n[update]\ndecoder_step = 'epoch'",
         "[codes]\ncompose = 'add'\naction_dimensions = 4\n[update]\ndecoder_step = 'epoch'",
         "[codes]\naction_code = false",

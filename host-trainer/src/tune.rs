@@ -384,7 +384,7 @@ mod tests {
     /// Channels of a clip's frame, in channel units, by the blob.
     fn decode(blob: &[u8], code: &[f32], frame: u32) -> Vec<f64> {
         let model = Model::from_bytes(blob).unwrap();
-        let mut workspace = Workspace::<64>::new();
+        let mut workspace = Workspace::<128>::new();
         let mut decoder = Decoder::new(&model, &mut workspace).unwrap();
         decoder.start(&model.code_from_f32(code));
         let mut pose = Pose::new();

@@ -57,6 +57,7 @@ pub fn config(overrides: &str) -> TrainConfig {
         action_dimensions = 3
         [batch]
         clips = 2
+        sampling = "random"
         [budget]
         steps = 40
     "#;
