@@ -2,9 +2,9 @@
 //!
 //! `RUN/checkpoint.safetensors` holds the tensors `decoder.{i}.weight` (out, in), `decoder.{i}.bias` (out),
 //! `sequence_code.mean`, `sequence_code.log_variance`, `action_code.mean`, `action_code.log_variance` (row, dimension)
-//! and `frequencies_rad` (pair, f64), where there are gates `modulation.0.weight` (row, in) and `modulation.0.bias`, the
-//! optimiser's moments under `adam.*`, and in its metadata `config` (TOML), `dataset` (JSON of `DatasetDescription`)
-//! and `state` (JSON of [`TrainState`]).
+//! and `frequencies_rad` (pair, f64), where there are gates `modulation.0.weight` (row, in) and `modulation.0.bias`,
+//! the optimiser's moments under `adam.*`, and in its metadata `config` (TOML), `dataset` (JSON of
+//! `DatasetDescription`) and `state` (JSON of [`TrainState`]).
 //!
 //! Under `adam.first.` and `adam.second.` the names above repeat; `adam.step_count.{decoder,sequence_code,action_code}`
 //! (u32, one a row for the tables) count the steps, and `adam.gradient.decoder.*` exists when the configuration sums

@@ -21,11 +21,10 @@ use crate::train::Progress;
 
 /// Arguments of `reproduce`.
 #[derive(Clone, Debug, clap::Args)]
-#[command(
-    after_help = "Example:\n  host-trainer reproduce humanact12 --data humanact12 --classifier humanact12.safetensors \\\n    \
-    --out runs/humanact12 --passes 300 --only paper,small\n\nKill it at any time: the same command goes on where it was. \
-    What is in --out already is not done again."
-)]
+#[command(after_help = "Example:\n  host-trainer reproduce humanact12 --data humanact12 \\\n    \
+    --classifier humanact12.safetensors --out runs/humanact12 --passes 300 --only paper,small\n\n\
+    Kill it at any time: the same command goes on where it was. \
+    What is in --out already is not done again.")]
 pub struct ReproduceArgs {
     /// Built-in experiments: humanact12 or cmu
     #[arg(required_unless_present = "experiments")]

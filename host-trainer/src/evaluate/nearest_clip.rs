@@ -80,8 +80,8 @@ impl TrainingClips {
         (0..crops.motion_count()).into_par_iter().map(nearest).collect()
     }
 
-    /// All clips, the least bound first. The mean distance of a joint over the frames is never less than the distance of
-    /// its mean positions.
+    /// All clips, the least bound first. The mean distance of a joint over the frames is never less than the
+    /// distance of its mean positions.
     fn candidates(&self, motion: &[f32], first: usize, frame_count: usize) -> Vec<Candidate> {
         let width = 3 * self.joint_count;
         let sums = running_sums(motion, width);
