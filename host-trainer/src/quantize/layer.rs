@@ -109,8 +109,9 @@ impl FloatRow<'_> {
 ///
 /// Ranges of 16 bits are symmetric, with as much head room again for codes that calibration did not see: gates multiply
 /// what is rare in one layer by what is rare in the next, and a bit of 16 is less than 8-bit weights can tell.
-/// Ranges of 8 bits have no step to spare: the zero point moves so that all are used (ELU never falls below −1), and of 64 ranges
-/// the one with the least mean square error wins, since clipping a rare extreme may cost less than coarser steps.
+/// Ranges of 8 bits have no step to spare: the zero point moves so that all are used (ELU never falls below −1), and of
+/// 64 ranges the one with the least mean square error wins, since clipping a rare extreme may cost less than coarser
+/// steps.
 pub fn activation_scale(observed: &Observed, range: (i16, i16)) -> InputScale {
     let (low, high) = (f64::from(range.0), f64::from(range.1));
     let (min, max) = (f64::from(observed.min), f64::from(observed.max));
