@@ -420,7 +420,10 @@ mod tests {
             ("[batch]\nclips = \"many\"", "batch.clips"),
             ("[batch]\nclips = 0", "batch.clips"),
             ("[codes]\ncompose = 'add'\naction_dimensions = 31", "codes.action_dimensions"),
-            ("[codes]\ncompose = 'add'\naction_code = false", "codes.action_code"),
+            (
+                "[codes]\ncompose = 'add'\naction_dimensions = 32\naction_code = false",
+                "codes.action_code",
+            ),
             ("[schedule]\nshape = \"linear\"", "linear"),
             ("[adam]\nbeta1 = 1.0", "adam.beta1"),
             ("[time]\nsinusoid_count = 63", "time.sinusoid_count"),
@@ -465,7 +468,7 @@ mod tests {
             TrainConfig::preset_with_keys("paper", keys, Path::new("own.toml")).unwrap()
         };
         for (section, default, other) in [
-            ("codes", "compose = 'concatenate'", "compose = 'add'\naction_dimensions = 32"),
+            ("codes", "compose = 'concatenate'", "compose = 'add'"),
             ("codes", "action_code = true", "action_code = false"),
             ("batch", "sampling = 'random'", "sampling = 'spread'"),
         ] {
