@@ -1,4 +1,4 @@
-//! CRC-32 of the blob (IEEE 802.3, reflected, as in zip and PNG).
+//! CRC-32 of the blob and of frames of the link (IEEE 802.3, reflected, as in zip and PNG).
 //!
 //! Why here: a nibble table of 64 bytes costs two look-ups a byte; the usual 1 KiB table is not worth the flash for
 //! a check that runs once at start.
@@ -24,13 +24,31 @@ const TABLE: [u32; 16] = {
 
 /// CRC-32 of the concatenation of `parts`.
 pub(crate) fn crc32<'a>(parts: impl IntoIterator<Item = &'a [u8]>) -> u32 {
-    let mut crc = u32::MAX;
+    let mut crc = Crc32::new();
     for part in parts {
         for &byte in part {
-            crc = nibble(nibble(crc ^ u32::from(byte)));
+            crc.update(byte);
         }
     }
-    !crc
+    crc.value()
+}
+
+/// CRC-32 of bytes that come one by one.
+#[derive(Clone, Debug)]
+pub(crate) struct Crc32(u32);
+
+impl Crc32 {
+    pub const fn new() -> Self {
+        Self(u32::MAX)
+    }
+
+    pub fn update(&mut self, byte: u8) {
+        self.0 = nibble(nibble(self.0 ^ u32::from(byte)));
+    }
+
+    pub const fn value(&self) -> u32 {
+        !self.0
+    }
 }
 
 fn nibble(crc: u32) -> u32 {

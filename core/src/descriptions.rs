@@ -58,7 +58,7 @@ impl<'a> Reader<'a> {
 
     /// Seven bits a byte, the lowest first; the highest bit says that another byte follows.
     #[inline(never)]
-    fn varint(&mut self) -> u64 {
+    pub fn varint(&mut self) -> u64 {
         let length = self.bytes.iter().position(|&byte| byte < 0x80).unwrap_or(VARINT_BYTES_MAX);
         if length >= VARINT_BYTES_MAX {
             self.fail();
@@ -68,7 +68,7 @@ impl<'a> Reader<'a> {
     }
 
     #[inline(never)]
-    fn u32(&mut self) -> u32 {
+    pub fn u32(&mut self) -> u32 {
         u32::try_from(self.varint()).unwrap_or_else(|_| {
             self.fail();
             0
@@ -76,7 +76,7 @@ impl<'a> Reader<'a> {
     }
 
     #[inline(never)]
-    fn u16(&mut self) -> u16 {
+    pub fn u16(&mut self) -> u16 {
         u16::try_from(self.u32()).unwrap_or_else(|_| {
             self.fail();
             0
@@ -90,7 +90,7 @@ impl<'a> Reader<'a> {
 
     /// Which of `count` variants, 0 where it is none.
     #[inline(never)]
-    fn variant(&mut self, count: u16) -> u16 {
+    pub fn variant(&mut self, count: u16) -> u16 {
         let index = self.u16();
         if index < count {
             return index;
@@ -99,11 +99,16 @@ impl<'a> Reader<'a> {
         0
     }
 
+    /// Bytes, their number first.
+    pub fn bytes(&mut self) -> &'a [u8] {
+        let length = self.u32() as usize;
+        self.take(length)
+    }
+
     /// A name.
     #[inline(never)]
     pub fn text(&mut self) -> &'a str {
-        let length = self.u32() as usize;
-        core::str::from_utf8(self.take(length)).unwrap_or_else(|_| {
+        core::str::from_utf8(self.bytes()).unwrap_or_else(|_| {
             self.fail();
             ""
         })

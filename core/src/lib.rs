@@ -44,6 +44,7 @@ mod arc_tangent;
 mod rotation;
 mod servo_map;
 mod servo;
+pub mod link;
 #[cfg(test)]
 mod deviation;
 #[cfg(test)]
