@@ -208,6 +208,52 @@ pub enum ServoError {
         /// Channel that drives the servo.
         channel: u16,
     },
+    /// A pulse of 0 means no pulse, and none is longer than 20,000 µs. Give the pulses in microseconds.
+    PulseImpossible {
+        /// Channel that drives the servo.
+        channel: u16,
+        /// Shortest, neutral and longest pulse as given.
+        pulses_us: [u16; 3],
+    },
+    /// The shortest pulse is also the longest: the servo could never move. Measure both ends, or leave the servo out.
+    NoSpan {
+        /// Channel that drives the servo.
+        channel: u16,
+        /// The only pulse.
+        pulse_us: u16,
+    },
+    /// The park pulse is beyond the range. Park the servo within it, or measure the range again.
+    ParkOutside {
+        /// Channel that drives the servo.
+        channel: u16,
+        /// Park pulse as given.
+        pulse_us: u16,
+        /// Shortest and longest pulse.
+        range_us: [u16; 2],
+    },
+    /// The trim moves the neutral pulse out of the range. Mount the horn closer to its middle.
+    TrimOutside {
+        /// Channel that drives the servo.
+        channel: u16,
+        /// Trim as given.
+        trim_us: i16,
+        /// Shortest and longest pulse.
+        range_us: [u16; 2],
+    },
+    /// An acceleration limit of 0: the servo could never start. Ten times the speed is a usual value.
+    NoAcceleration {
+        /// Channel that drives the servo.
+        channel: u16,
+    },
+    /// From full speed the servo could not stop within its range. Allow more acceleration or less speed.
+    CannotBrake {
+        /// Channel that drives the servo.
+        channel: u16,
+        /// Way from full speed to standing: speed² / 2 · acceleration.
+        braking_us: u64,
+        /// Way from the shortest to the longest pulse.
+        span_us: u16,
+    },
     /// More servos than [`SERVOS_MAX`](crate::limits::SERVOS_MAX).
     TooMany {
         /// Servos given.
@@ -229,6 +275,44 @@ impl fmt::Display for ServoError {
             }
             Self::NoSpeed { channel } => {
                 write!(out, "the servo of channel {channel} has a speed limit of 0")
+            }
+            Self::PulseImpossible { channel, pulses_us: [min, neutral, max] } => {
+                write!(
+                    out,
+                    "the servo of channel {channel} has pulses of {min}, {neutral} and {max} us, \
+                     expected 1 to 20000"
+                )
+            }
+            Self::NoSpan { channel, pulse_us } => {
+                write!(
+                    out,
+                    "the servo of channel {channel} has no span: its shortest and its longest \
+                     pulse are both {pulse_us} us"
+                )
+            }
+            Self::ParkOutside { channel, pulse_us, range_us: [min, max] } => {
+                write!(
+                    out,
+                    "the servo of channel {channel} is parked at {pulse_us} us, outside its range \
+                     of {min} to {max} us"
+                )
+            }
+            Self::TrimOutside { channel, trim_us, range_us: [min, max] } => {
+                write!(
+                    out,
+                    "the servo of channel {channel} is trimmed by {trim_us} us, which moves neutral \
+                     outside its range of {min} to {max} us"
+                )
+            }
+            Self::NoAcceleration { channel } => {
+                write!(out, "the servo of channel {channel} has an acceleration limit of 0")
+            }
+            Self::CannotBrake { channel, braking_us, span_us } => {
+                write!(
+                    out,
+                    "the servo of channel {channel} needs {braking_us} us to stop from full speed, \
+                     its range is {span_us} us"
+                )
             }
             Self::TooMany { count, max } => write!(out, "{count} servos, at most {max} fit"),
         }

@@ -8,7 +8,7 @@ pub const LAYERS_MAX: usize = 10;
 /// Channels of one pose; a [`Pose`](crate::Pose) takes 4 bytes for each.
 pub const CHANNELS_MAX: usize = 256;
 
-/// Servos of one robot; a [`ServoStage`](crate::ServoStage) takes about 26 bytes for each. Two PCA9685 (16 outputs
+/// Servos of one robot; a [`ServoStage`](crate::ServoStage) takes 88 bytes for each. Two PCA9685 (16 outputs
 /// each, 4.9 µs a step at 50 Hz) side by side on one I²C bus; a desk creature has about a dozen.
 pub const SERVOS_MAX: usize = 32;
 

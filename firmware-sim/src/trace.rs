@@ -17,7 +17,7 @@ use serde::Serialize;
 use crate::error::{Error, Result};
 use crate::host::widest_workspace;
 
-pub use calibration::{PULSES_US, US_PER_S_MAX, US_PER_UNIT};
+pub use calibration::{PULSES_US, US_PER_S_MAX, US_PER_S2_MAX, US_PER_UNIT};
 pub use summary::{ServoSummary, Summary};
 
 /// Default rate of commands: an analogue servo's own.
@@ -42,6 +42,8 @@ pub struct Options {
     pub us_per_unit: f64,
     /// Speed limit of every servo.
     pub us_per_s_max: u32,
+    /// Acceleration limit of every servo.
+    pub us_per_s2_max: u32,
 }
 
 /// A motion as a list of commands.
@@ -53,7 +55,7 @@ pub struct Trace {
     pub provenance: String,
     /// Names of the servos, in the order of every command.
     pub servos: Vec<String>,
-    /// First to last; the first is the park pose at time 0.
+    /// First to last; at time 0 the servos have come softly from the park pose to the first pose.
     pub ticks: Vec<Tick>,
 }
 
@@ -85,13 +87,27 @@ pub fn trace(model: &Model<'_>, options: &Options) -> Result<Trace> {
     let (mut pose, mut ticks, mut last_us) = (Pose::new(), Vec::new(), 0);
     for time_us in tick_times_us(model, frames, options)? {
         decoder.decode(FramePosition::after_us(time_us, model.rate_millihz()), &mut pose);
-        let command = stage.command(&pose, time_us - last_us).clone();
+        if time_us == 0 {
+            start_softly(&mut stage, &pose);
+        }
+        stage.aim(&pose);
+        let command = stage.tick(time_us - last_us).clone();
         ticks.push(Tick { time_us, command });
         last_us = time_us;
     }
     let seconds = f64::from(frames) * 1000.0 / f64::from(model.rate_millihz());
     let options = Options { seconds, ..options.clone() };
     Ok(Trace { options, provenance: provenance(model), servos, ticks })
+}
+
+/// From the park pose to `pose`, in ticks of their own; with time left for slow servos.
+fn start_softly(stage: &mut ServoStage, pose: &Pose) {
+    const START_TICK_US: u32 = 20_000;
+    stage.enable();
+    for _ in 0..2 * ServoStage::SOFT_START_US / START_TICK_US {
+        stage.aim(pose);
+        stage.tick(START_TICK_US);
+    }
 }
 
 fn find_action(model: &Model<'_>, options: &Options) -> Result<ActionId> {
@@ -176,11 +192,19 @@ impl Trace {
     /// [`Error::Io`] if the memory for it is refused.
     pub fn csv(&self) -> Result<Vec<u8>> {
         let one_line = |text: &str| text.replace(['\r', '\n'], " ");
-        let Options { action, seconds, seed, tick_hz, us_per_unit, us_per_s_max, .. } =
-            &self.options;
+        let Options {
+            action,
+            seconds,
+            seed,
+            tick_hz,
+            us_per_unit,
+            us_per_s_max,
+            us_per_s2_max,
+            ..
+        } = &self.options;
         let comments = format!(
             "# {}\n# action {}, {seconds} s, seed {seed}, {tick_hz} Hz, {us_per_unit} us per unit, \
-             {us_per_s_max} us/s\n",
+             {us_per_s_max} us/s, {us_per_s2_max} us/s2\n",
             one_line(&self.provenance),
             one_line(action)
         );
@@ -212,6 +236,7 @@ pub(crate) mod tests {
             tick_hz: TICK_HZ,
             us_per_unit: US_PER_UNIT,
             us_per_s_max: US_PER_S_MAX,
+            us_per_s2_max: US_PER_S2_MAX,
         }
     }
 
@@ -259,12 +284,11 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn ticks_run_from_the_park_pose_to_the_last_frame_at_their_own_rate() {
+    fn ticks_run_from_the_first_to_the_last_frame_at_their_own_rate() {
         for (tick_hz, count, last_us) in [(50, 40, 780_000), (60, 47, 766_666), (10, 8, 700_000)] {
             let trace = trace_fixture(&Options { tick_hz, ..options() }).unwrap();
             assert_eq!(trace.ticks.len(), count);
             assert_eq!(trace.ticks[0].time_us, 0);
-            assert_eq!(trace.ticks[0].command.pulses_us(), [PULSES_US[1]]);
             assert_eq!(trace.ticks.last().unwrap().time_us, last_us);
         }
     }
@@ -275,8 +299,12 @@ pub(crate) mod tests {
         let lines: Vec<&str> = text.lines().collect();
         let hash = "a5".repeat(32);
         assert_eq!(lines[0], format!("# fixture in core's w8a16, config {hash}"));
-        assert_eq!(lines[1], "# action bow, 0.8 s, seed 7, 50 Hz, 10 us per unit, 6000 us/s");
-        assert_eq!(lines[2..4], ["time_s,neck_us", "0.000000,1500"]);
+        assert_eq!(
+            lines[1],
+            "# action bow, 0.8 s, seed 7, 50 Hz, 10 us per unit, 6000 us/s, 60000 us/s2"
+        );
+        assert_eq!(lines[2], "time_s,neck_us");
+        assert!(lines[3].starts_with("0.000000,"), "{}", lines[3]);
         assert_eq!(lines.len(), 3 + 40);
     }
 
@@ -284,14 +312,16 @@ pub(crate) mod tests {
     fn unlimited_servo_follows_the_pose_to_the_microsecond() {
         let blob = Fixture::new(1).blob(NumberFormat::W8A16);
         let model = Model::from_bytes(&blob).unwrap();
-        let trace = trace(&model, &Options { us_per_s_max: u32::MAX, ..options() }).unwrap();
+        let (us_per_s_max, us_per_s2_max) = (1_600_000, u32::MAX);
+        let unlimited = Options { us_per_s_max, us_per_s2_max, ..options() };
+        let trace = trace(&model, &unlimited).unwrap();
         let mut random = Pcg32::new(7);
         let code = model.sample(ActionId(0), 40, &mut || random.next_u32()).unwrap();
         let mut workspace = widest_workspace();
         let mut decoder = Decoder::new(&model, &mut workspace).unwrap();
         decoder.start(&code);
         let mut pose = Pose::new();
-        for (frame, tick) in trace.ticks.iter().enumerate().skip(1) {
+        for (frame, tick) in trace.ticks.iter().enumerate() {
             decoder.decode(FramePosition::from_frames(frame as u32), &mut pose);
             let exact_us = 1500.0 + US_PER_UNIT * pose.values().next().unwrap();
             assert!((f64::from(tick.command.pulses_us()[0]) - exact_us).abs() < 0.503);

@@ -9,7 +9,7 @@ use karakuri::Model;
 
 use super::{print, print_json, read_blob};
 use crate::error::{Error, Result};
-use crate::trace::{Options, Summary, TICK_HZ, US_PER_S_MAX, US_PER_UNIT, trace};
+use crate::trace::{Options, Summary, TICK_HZ, US_PER_S_MAX, US_PER_S2_MAX, US_PER_UNIT, trace};
 
 /// What the user typed.
 #[derive(Clone, Debug, clap::Args)]
@@ -40,6 +40,10 @@ pub struct TraceArgs {
     #[arg(long, value_name = "US", default_value_t = US_PER_S_MAX,
           value_parser = clap::value_parser!(u32).range(1..))]
     speed_us_per_s: u32,
+    /// Acceleration limit of every servo, in microseconds of pulse width per second squared
+    #[arg(long, value_name = "US", default_value_t = US_PER_S2_MAX,
+          value_parser = clap::value_parser!(u32).range(1..))]
+    acceleration_us_per_s2: u32,
     /// File for the trace, instead of standard output
     #[arg(long, value_name = "FILE.csv")]
     out: Option<PathBuf>,
@@ -51,9 +55,8 @@ pub struct TraceArgs {
     json: bool,
 }
 
-const CALIBRATION: &str = "Every scalar channel drives a servo of 500 to 2500 us about 1500 us, \
-    where it is parked at time 0. Limits of range and speed are core's; nothing here limits \
-    acceleration or proves safety.\n\nExample:\n  \
+const CALIBRATION: &str = "Every scalar channel drives a servo of 500 to 2500 us about 1500 us. \
+    Limits of range, speed and acceleration are core's; nothing here proves safety.\n\nExample:\n  \
     firmware-sim trace creature.kara --action nod --seconds 2.4 --seed 7 --out nod.csv";
 
 impl TraceArgs {
@@ -66,6 +69,7 @@ impl TraceArgs {
             tick_hz: self.tick_hz,
             us_per_unit: self.us_per_unit,
             us_per_s_max: self.speed_us_per_s,
+            us_per_s2_max: self.acceleration_us_per_s2,
         }
     }
 }
@@ -101,7 +105,7 @@ fn table(summary: &Summary) -> String {
     let width = names.chain(["servo".len()]).max().unwrap_or_default();
     let mut text = format!(
         "{}, {} s, seed {}: {} commands at {} Hz, at most {} us/s\n\n\
-         {:<width$}  {:>6}  {:>6}  {:>10}  {:>13}  {:>13}\n",
+         {:<width$}  {:>6}  {:>6}  {:>10}  {:>13}  {:>13}  {:>20}\n",
         options.action,
         options.seconds,
         options.seed,
@@ -114,18 +118,20 @@ fn table(summary: &Summary) -> String {
         "max us/s",
         "range-limited",
         "speed-limited",
+        "acceleration-limited",
     );
     for servo in &summary.servos {
         // Writing to a string cannot fail.
         let _ = writeln!(
             text,
-            "{:<width$}  {:>6}  {:>6}  {:>10.0}  {:>11.1} %  {:>11.1} %",
+            "{:<width$}  {:>6}  {:>6}  {:>10.0}  {:>11.1} %  {:>11.1} %  {:>18.1} %",
             servo.name,
             servo.pulse_us_min,
             servo.pulse_us_max,
             servo.us_per_s_max,
             100.0 * servo.range_limited_share,
             100.0 * servo.speed_limited_share,
+            100.0 * servo.acceleration_limited_share,
         );
     }
     text
@@ -239,7 +245,7 @@ mod tests {
     const SUMMARY: &str = "\
 write, 1.2 s, seed 7: 60 commands at 50 Hz, at most 6000 us/s
 
-servo  min us  max us    max us/s  range-limited  speed-limited
-neck      500    2500        6000         39.0 %         20.3 %
+servo  min us  max us    max us/s  range-limited  speed-limited  acceleration-limited
+neck      500    2500        6000         39.0 %         16.9 %                47.5 %
 ";
 }

@@ -8,7 +8,7 @@
 
 use karakuri::limits::SERVOS_MAX;
 use karakuri::manifest::Group;
-use karakuri::{GroupKind, Pose, ServoMap, Unit};
+use karakuri::{GroupKind, Pose, ServoError, ServoLimits, ServoMap, Unit};
 
 use super::Options;
 use crate::error::{Error, Result};
@@ -21,6 +21,8 @@ pub const US_PER_UNIT: f64 = 10.0;
 /// Default speed limit: 600 °/s at the default gain, a small hobby servo without load (60° in 0.1
 /// s).
 pub const US_PER_S_MAX: u32 = 6000;
+/// Default acceleration limit: full speed in 0.1 s.
+pub const US_PER_S2_MAX: u32 = 60_000;
 
 /// Every scalar channel's name and calibration.
 pub fn servos<'g>(
@@ -67,13 +69,25 @@ fn servo(channel: u16, unit: Unit, options: &Options) -> Result<ServoMap> {
             remedy,
         ));
     }
-    let map = ServoMap::new(channel, PULSES_US, q16 as i32, options.us_per_s_max);
-    let map = map.map_err(|error| {
-        let remedy = "give the servo's speed in microseconds of pulse per second";
-        Error::bad_input("--speed-us-per-s", "the limit", error, "at least 1", remedy)
-    })?;
+    let limits = ServoLimits {
+        pulse_us_per_s_max: options.us_per_s_max,
+        pulse_us_per_s2_max: options.us_per_s2_max,
+    };
+    let map = ServoMap::new(channel, PULSES_US, q16 as i32, limits).map_err(refused)?;
     let neutral_q16 = i32::from(PULSES_US[1]) << Pose::FRACTION_BITS;
     Ok(if unit == Unit::Microsecond { map.with_neutral_at(neutral_q16) } else { map })
+}
+
+/// Why core does not take the limits.
+fn refused(error: ServoError) -> Error {
+    let (flag, expected) = match error {
+        ServoError::NoSpeed { .. } => ("--speed-us-per-s", "at least 1"),
+        ServoError::NoAcceleration { .. } => ("--acceleration-us-per-s2", "at least 1"),
+        _ => ("--acceleration-us-per-s2", "limits that stop a servo within its range"),
+    };
+    let remedy = "give the servo's speed in microseconds of pulse per second, and about ten times \
+        as much for its acceleration";
+    Error::bad_input(flag, "the limit", error, expected, remedy)
 }
 
 #[cfg(test)]
@@ -111,6 +125,15 @@ mod tests {
     }
 
     #[test]
+    fn servo_that_cannot_start_or_brake_is_rejected() {
+        for us_per_s2_max in [0, 8000] {
+            let options = Options { us_per_s2_max, ..options() };
+            let error = servo(0, Unit::Degree, &options).unwrap_err();
+            assert!(error.to_string().contains("--acceleration-us-per-s2"), "{error}");
+        }
+    }
+
+    #[test]
     fn angles_are_converted_and_pulse_widths_taken_as_they_are() {
         let groups = [
             group("jaw", GroupKind::Scalar, Unit::Degree),
@@ -120,7 +143,9 @@ mod tests {
         ];
         let (names, maps) = servos(groups.into_iter(), &options()).unwrap();
         assert_eq!(names, ["jaw", "neck", "lid"]);
-        let map = |channel, q16| ServoMap::new(channel, PULSES_US, q16, US_PER_S_MAX).unwrap();
+        let limits =
+            ServoLimits { pulse_us_per_s_max: US_PER_S_MAX, pulse_us_per_s2_max: US_PER_S2_MAX };
+        let map = |channel, q16| ServoMap::new(channel, PULSES_US, q16, limits).unwrap();
         // 10 · 180/π · 2^16 = 37,549,361.7…
         let lid = map(5, 1 << 16).with_neutral_at(1500 << 16);
         assert_eq!(maps, [map(0, 10 << 16), map(4, 37_549_362), lid]);

@@ -38,6 +38,8 @@ pub struct ServoSummary {
     pub range_limited_share: f64,
     /// Share of the ticks at which the servo could not follow because of its speed limit, 0 to 1.
     pub speed_limited_share: f64,
+    /// The same because of its acceleration limit.
+    pub acceleration_limited_share: f64,
 }
 
 impl Trace {
@@ -60,8 +62,7 @@ impl Trace {
             let travel_us = pulse_us(&pair[0])?.abs_diff(pulse_us(&pair[1])?);
             Some(f64::from(travel_us) * 1e6 / f64::from(pair[1].time_us - pair[0].time_us))
         });
-        // The first tick is the park pose, which no time has passed to leave: it says nothing about
-        // limits.
+        // No time passes before the first tick: it says nothing about limits.
         let moving = self.ticks.get(1..).unwrap_or_default();
         let share = |is_limited: fn(&ServoCommand, usize) -> bool| {
             let count = moving.iter().filter(|tick| is_limited(&tick.command, servo)).count();
@@ -74,6 +75,7 @@ impl Trace {
             us_per_s_max: speeds_us_per_s.fold(0.0, f64::max),
             range_limited_share: share(ServoCommand::is_range_limited),
             speed_limited_share: share(ServoCommand::is_speed_limited),
+            acceleration_limited_share: share(ServoCommand::is_acceleration_limited),
         }
     }
 }
