@@ -6,16 +6,16 @@
 //! Why here: this is the file that keeps the machine whole, so it does nothing else. Positions are Q16 µs, velocities
 //! Q16 µs a step, accelerations Q16 µs a step².
 //!
-//! **Why it cannot leave the range.** Let A be the largest change of velocity and `S(v) = v + (v−A)⁺ + (v−2A)⁺ + …`
-//! the way of a servo that does one step at v and then brakes. A step keeps the promise `S(v−A) ≤ max − p`: braking from now
-//! on ends inside. A step may take v' if
+//! **Why it cannot leave the range.** Let A be the largest change of velocity, x⁺ = max(x, 0), and
+//! `S(v) = v + (v−A)⁺ + (v−2A)⁺ + …` the way of a servo that does one step at v and then brakes. Every step keeps the
+//! promise `S(v−A) ≤ max − p`: braking from now on ends inside. A step may take v' if
 //! * `v' ≤ v − A`: then `S(v') ≤ S(v−A) ≤ max − p`; or
 //! * `v' ≤ brake(max − p)`, where `S(brake(d)) ≤ d`: with v = nA + f, `S(v) = v²/2A + v/2 + f(A−f)/2A`, the last term
 //!   is at most A/8, and `v²/2A + v/2 + A/8 ≤ d` is `v ≤ (√(8Ad) − A) / 2`; and `S(v) = v` up to A.
 //!
 //! Either way `p' = p + v' ≤ max` and `S(v'−A) ≤ S(v') − v' ≤ max − p'`, which is the promise again (v' < 0 cannot
-//! break it). The lower end is the mirror image. A velocity that both ends and all limits allow always exists, because 0 lies
-//! between `−brake` and `brake`, and v between `v−A` and `v+A`.
+//! break it). The lower end is the mirror image. A velocity that both ends and all limits allow always exists, because
+//! 0 lies between `−brake` and `brake`, and v between `v−A` and `v+A`.
 
 use crate::servo_map::{ServoMap, pulse_q16};
 
