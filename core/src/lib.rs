@@ -50,6 +50,7 @@ mod soft_start;
 mod servo_command;
 mod servo;
 pub mod link;
+pub mod output;
 #[cfg(test)]
 mod deviation;
 #[cfg(test)]

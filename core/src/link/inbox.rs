@@ -3,8 +3,8 @@
 //! In:  bytes of the line.
 //! Out: commands to act upon; answers to send back.
 //!
-//! Why here: a host that hears no answer sends its command again. Without numbers the body would then nod twice, and a
-//! motion that was meant to come before a stop would be played after it.
+//! Why here: a host that hears no answer sends its command again. Without numbers the body would then nod twice, and
+//! a motion that was meant to come before a stop would be played after it.
 
 use super::{Command, Frame, LinkError, Receiver, Refusal, Report};
 

@@ -1,7 +1,8 @@
 //! What host and chip tell each other.
 //!
-//! Why here: `serde` writes both and reads reports, which only a host does. Commands are read by hand, as descriptions
-//! of a blob are: `serde`'s reader would add 1.2 KB to 4.5 KB of receiver, commands, loader and reports (Cortex-M0+).
+//! Why here: `serde` writes both and reads reports, which only a host does. Commands are read by hand, as
+//! descriptions of a blob are: `serde`'s reader would add 1.2 KB to 4.5 KB of receiver, commands, loader and reports
+//! (Cortex-M0+).
 
 use serde::{Deserialize, Serialize};
 
