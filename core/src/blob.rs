@@ -107,6 +107,12 @@ fn checksum(bytes: &[u8]) -> u32 {
     crc32([before, after])
 }
 
+/// The checksum that a blob states about itself: names exactly this blob in what is made from it. `None` where the
+/// bytes end before it.
+pub fn stored_crc(bytes: &[u8]) -> Option<u32> {
+    u32_at(bytes, field::CRC)
+}
+
 fn u16_at(bytes: &[u8], range: core::ops::Range<usize>) -> Option<u16> {
     Some(u16::from_le_bytes(bytes.get(range)?.try_into().ok()?))
 }

@@ -1,5 +1,6 @@
 //! What the user types, one file per verb: arguments in, library calls, text out.
 
+pub mod bake;
 pub mod bench;
 pub mod character;
 pub mod classify;
@@ -9,6 +10,7 @@ pub mod evaluate;
 pub mod generate;
 pub mod inspect;
 pub mod inspect_clips;
+pub mod motions;
 pub mod quantize;
 pub mod reconstruct;
 pub mod reproduce;

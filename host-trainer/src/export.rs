@@ -4,6 +4,7 @@
 //! Out: CSV (read again by the importer), NumPy, or JSON; each written whole or not at all.
 
 pub mod bvh;
+pub mod bvh_servos;
 
 use std::path::{Path, PathBuf};
 
@@ -65,7 +66,7 @@ pub enum ExportFormat {
     Npy,
     /// Self-describing: layout, skeleton, provenance and poses.
     Json,
-    /// Joint hierarchy and Euler angles for animation programs; bodies given by rotations only.
+    /// Joint hierarchy and Euler angles for animation programs: bodies given by rotations, or servos given by angles.
     Bvh,
 }
 
@@ -133,7 +134,11 @@ pub fn write_files(files: &[(PathBuf, Vec<u8>)], overwrite: Overwrite) -> Result
     Ok(())
 }
 
-fn encode_poses(motion: &Motion, format: ExportFormat, path: &Path) -> Result<Vec<u8>> {
+/// The bytes of the file that holds the poses.
+///
+/// # Errors
+/// As [`encode`].
+pub fn encode_poses(motion: &Motion, format: ExportFormat, path: &Path) -> Result<Vec<u8>> {
     match format {
         ExportFormat::Csv => Ok(csv(motion).into_bytes()),
         ExportFormat::Npy => {
@@ -141,16 +146,20 @@ fn encode_poses(motion: &Motion, format: ExportFormat, path: &Path) -> Result<Ve
             npy(&shape, motion.poses.iter().copied()).map_err(Error::io("encode", path))
         }
         ExportFormat::Json => json(motion).map_err(Error::io("encode", path)),
-        ExportFormat::Bvh => bvh::emit(motion).map(String::into_bytes).ok_or_else(|| {
+        ExportFormat::Bvh => bvh_text(motion).map(String::into_bytes).ok_or_else(|| {
             Error::bad_input(
                 path,
                 "format",
                 "bvh",
-                "a model of joint rotations with a skeleton",
+                "a model of joint rotations with a skeleton, or of servos in degrees or radians",
                 "write csv, npy or json, or train with the representation rotations",
             )
         }),
     }
+}
+
+fn bvh_text(motion: &Motion) -> Option<String> {
+    bvh::emit(motion).or_else(|| bvh_servos::emit(motion))
 }
 
 /// Comment lines, a header `time_s,jaw_deg,…`, one row a pose. Numbers have as many digits as give

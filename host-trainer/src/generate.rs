@@ -12,7 +12,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 use crate::body::skeleton::Skeleton;
-use crate::checkpoint::Checkpoint;
+use crate::checkpoint::{Checkpoint, hexadecimal};
 use crate::error::{Error, Result};
 use crate::evaluate::source::CodeSampler;
 use crate::export::Motion;
@@ -30,6 +30,8 @@ pub struct Request {
     pub seed: u64,
     /// Move a length outside training to the nearest trained one instead of refusing it.
     pub clamp: bool,
+    /// Poses per second; `None`: as the clips. Others are decoded between the frames, not interpolated.
+    pub rate_hz: Option<f64>,
 }
 
 /// Widest decoder that the host decodes from a blob.
@@ -55,14 +57,14 @@ pub fn generate_float(
     let mut random = ChaCha8Rng::seed_from_u64(request.seed);
     let mut code = sampler.sample(action, frames, &mut random)?;
     code.extend(checkpoint.action_codes.mean_of(action));
-    let times: Vec<f64> = (0..frames).map(|frame| frame as f64).collect();
-    let mut poses = vec![0.0; frames * dataset.layout.channel_count()];
+    let times: Vec<f64> = frame_positions(frames, dataset.rate_hz, request).collect();
+    let mut poses = vec![0.0; times.len() * dataset.layout.channel_count()];
     checkpoint.model.decode_motion(&code, &times, &mut poses);
     dataset.destandardize(&mut poses);
     Ok(Motion {
         layout: dataset.layout.clone(),
         skeleton: dataset.skeleton.clone(),
-        rate_hz: dataset.rate_hz,
+        rate_hz: request.rate_hz.unwrap_or(dataset.rate_hz),
         poses,
         action: request.action.clone(),
         seconds: frames as f64 / dataset.rate_hz,
@@ -94,19 +96,25 @@ pub fn generate_blob(path: &Path, model: &Model<'_>, request: &Request) -> Resul
         .map_err(|reason| Error::Blob { path: path.into(), reason: reason.to_string() })?;
     decoder.start(&code);
     let (mut pose, mut poses) = (Pose::new(), Vec::new());
-    for frame in 0..frames {
-        decoder.decode(FramePosition::from_frames(frame), &mut pose);
+    for position in frame_positions(frames as usize, rate_hz, request) {
+        // Truncated to 2^-16 of a frame, as `FramePosition::after_us` does on the device.
+        decoder.decode(FramePosition::from_bits((position * 65_536.0) as u32), &mut pose);
         poses.extend(pose.values().map(|value| value as f32));
     }
     Ok(Motion {
         layout: layout_of(model),
         skeleton: skeleton_of(model),
-        rate_hz,
+        rate_hz: request.rate_hz.unwrap_or(rate_hz),
         poses,
         action: request.action.clone(),
         seconds: f64::from(frames) / rate_hz,
         seed: request.seed,
-        provenance: format!("{} in core's {}", model.manifest().name, model.number_format().name()),
+        provenance: format!(
+            "{} in core's {}, config {}",
+            model.manifest().name,
+            model.number_format().name(),
+            hexadecimal(&model.provenance().config_hash)
+        ),
     })
 }
 
@@ -132,6 +140,16 @@ pub fn skeleton_of(model: &Model<'_>) -> Option<Skeleton> {
 
 fn frames_of(request: &Request, rate_hz: f64) -> usize {
     (request.seconds * rate_hz).round().clamp(0.0, 65_535.0) as usize
+}
+
+/// Where the poses of a motion lie, in the model's frames; all below `frames`.
+fn frame_positions(
+    frames: usize,
+    model_hz: f64,
+    request: &Request,
+) -> impl Iterator<Item = f64> + use<> {
+    let per_pose = request.rate_hz.map_or(1.0, |rate_hz| model_hz / rate_hz);
+    (0u32..).map(move |pose| f64::from(pose) * per_pose).take_while(move |at| *at < frames as f64)
 }
 
 fn find_action<'n>(names: impl Iterator<Item = &'n str>, request: &Request) -> Result<usize> {

@@ -30,6 +30,8 @@ pub mod reconstruct;
 pub mod generate;
 pub mod evaluate;
 pub mod export;
+pub mod keyframe;
+pub mod bake;
 pub mod picture;
 pub mod reproduce;
 pub mod commands;

@@ -4,7 +4,7 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 use host_trainer::commands::{
-    bench, character, classify, demo, evaluate, generate, inspect, inspect_clips, quantize,
+    bake, bench, character, classify, demo, evaluate, generate, inspect, inspect_clips, quantize,
     reconstruct, reproduce, samplers, train, tune,
 };
 use host_trainer::error::Result;
@@ -39,6 +39,8 @@ enum Verb {
     Quantize(quantize::QuantizeArgs),
     /// Make new motions
     Generate(generate::GenerateArgs),
+    /// Make new motions as files that other software and firmware play
+    Bake(bake::BakeArgs),
     /// Train the classifier that motions are evaluated by
     Classify(classify::ClassifyArgs),
     /// Measure how real generated motions are
@@ -71,6 +73,7 @@ fn run(verb: &Verb) -> Result<()> {
         Verb::Tune(args) => tune::run(args),
         Verb::Quantize(args) => quantize::run(args),
         Verb::Generate(args) => generate::run(args),
+        Verb::Bake(args) => bake::run(args),
         Verb::Classify(args) => classify::run(args),
         Verb::Evaluate(args) => evaluate::run(args),
         Verb::Samplers(args) => samplers::run(args),

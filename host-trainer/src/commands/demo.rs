@@ -184,6 +184,7 @@ fn write_motions(blob_path: &Path, out: &Path, seed: u64) -> Result<usize> {
             seconds,
             seed,
             clamp: false,
+            rate_hz: None,
         });
         let motions = requests
             .map(|request| generate_blob(blob_path, &model, &request))
