@@ -10,7 +10,7 @@
 //! the frame in the middle of a record, which loses the position and every later frame comes one too late; a byte 3C
 //! begins the record anew. So the bytes of a position are never 0A or 3C (it moves by 1 µs instead), ids 10 and 60 are
 //! skipped, and the first frame, which a reader has no older positions for, is whole.
-//! Source: format of version 2.1.1 of the add-on, read; its reader's behaviour, measured on an own implementation of it.
+//! Source: format of version 2.1.1 of the add-on, read; its reader's behaviour, measured on an own copy of its rules.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;

@@ -7,9 +7,9 @@
 //! `sC,pin,start ms,duration ms,y,dx,dy,y,dx,dy` is a Bézier curve whose y runs from 0 to 8192 over the servo's range
 //! and whose handles are offsets from their own ends.
 //!
-//! Why here: the driver's own docs say that playback takes every servo to stand at its first key. So a clip begins at the
+//! Why here: the driver's docs say that playback takes every servo to stand at its first key. So a clip begins at the
 //! pulse of its first frame, and the speed limit of `rSVPin` bounds the way there.
-//! Source: driver 0.8.0c1, read: code stream, curve evaluation, limits of command length (100 characters on the smallest
+//! Source: driver 0.8.0c1, read: code stream, curve evaluation, length of commands (100 characters on the smallest
 //! boards), of clips, and of the one string that it plays of a clip.
 
 use std::fmt::Write;
@@ -236,10 +236,22 @@ fn line(curve: &Curve) -> String {
 
 fn header() -> String {
     String::from(
-        "#ifndef GeneratedCodeAnimations_h\n#define GeneratedCodeAnimations_h\n\n#include <Arduino.h>\n\nnamespace \
-         GeneratedCodeAnimations\n{\n    byte getAnimationCount();\n    const char *const *getSetup();\n    const char \
-         *getLoopByIndex(byte animationIndex);\n    const char *const *getAnimationDataByIndex(byte animationIndex);\n    \
-         const uint16_t *getConfigValues(byte animationIndex);\n}\n\n#endif\n",
+        "#ifndef GeneratedCodeAnimations_h
+#define GeneratedCodeAnimations_h
+
+#include <Arduino.h>
+
+namespace GeneratedCodeAnimations
+{
+    byte getAnimationCount();
+    const char *const *getSetup();
+    const char *getLoopByIndex(byte animationIndex);
+    const char *const *getAnimationDataByIndex(byte animationIndex);
+    const uint16_t *getConfigValues(byte animationIndex);
+}
+
+#endif
+",
     )
 }
 
@@ -250,20 +262,29 @@ fn source(tracks: &[PulseTrack<'_>], setup: &str, clips: &[String]) -> String {
         let _ =
             writeln!(text, "// {index}: {}: {}", identifier(track.motion), credit(track.motion));
     }
+    let setup = literal(setup);
     let _ = write!(
         text,
-        "\n#include \"GeneratedCodeAnimations.h\"\n\nnamespace GeneratedCodeAnimations\n{{\n    const char \
-         SETUP_DATA_0[] PROGMEM ={};\n    const char *const SETUP_DATAARRAY[] PROGMEM = {{SETUP_DATA_0}};\n",
-        literal(setup)
+        "
+#include \"GeneratedCodeAnimations.h\"
+
+namespace GeneratedCodeAnimations
+{{
+    const char SETUP_DATA_0[] PROGMEM ={setup};
+    const char *const SETUP_DATAARRAY[] PROGMEM = {{SETUP_DATA_0}};
+"
     );
     for (index, clip) in clips.iter().enumerate() {
+        let clip = literal(clip);
         let _ = write!(
             text,
-            "\n    const char ANIM_{index}_DATA0[] PROGMEM ={};\n    const char *const ANIM_{index}_DATAARRAY[] PROGMEM \
-             = {{ANIM_{index}_DATA0}};\n    const char ANIM_{index}_LOOP[] PROGMEM = \"\";\n    // Play on start, loop \
-             on start, idle, pin, loop on pin, pin mode, ladder min, ladder max.\n    const uint16_t \
-             ANIM_{index}_CONFIG[8] = {{0, 0, 0, 0, 0, 0, 0, 0}};\n",
-            literal(clip)
+            "
+    const char ANIM_{index}_DATA0[] PROGMEM ={clip};
+    const char *const ANIM_{index}_DATAARRAY[] PROGMEM = {{ANIM_{index}_DATA0}};
+    const char ANIM_{index}_LOOP[] PROGMEM = \"\";
+    // Play on start, loop on start, idle, pin, loop on pin, pin mode, ladder min, ladder max.
+    const uint16_t ANIM_{index}_CONFIG[8] = {{0, 0, 0, 0, 0, 0, 0, 0}};
+"
         );
     }
     text + &accessors(clips.len())
@@ -271,19 +292,34 @@ fn source(tracks: &[PulseTrack<'_>], setup: &str, clips: &[String]) -> String {
 
 fn accessors(count: usize) -> String {
     let by_index = |result: &str, name: &str, suffix: &str| {
-        let cases: String = (0..count)
-            .map(|index| {
-                format!("        case {index}:\n            return ANIM_{index}_{suffix};\n")
-            })
-            .collect();
+        let case =
+            |index| format!("        case {index}:\n            return ANIM_{index}_{suffix};\n");
+        let cases: String = (0..count).map(case).collect();
         format!(
-            "\n    {result}{name}(byte animationIndex)\n    {{\n        switch (animationIndex)\n        {{\n{cases}        \
-             }}\n        return nullptr;\n    }}\n"
+            "
+    {result}{name}(byte animationIndex)
+    {{
+        switch (animationIndex)
+        {{
+{cases}        }}
+        return nullptr;
+    }}
+"
         )
     };
     format!(
-        "\n    byte getAnimationCount()\n    {{\n        return {count};\n    }}\n\n    const char *const *getSetup()\n    \
-         {{\n        return SETUP_DATAARRAY;\n    }}\n{}{}{}}}\n",
+        "
+    byte getAnimationCount()
+    {{
+        return {count};
+    }}
+
+    const char *const *getSetup()
+    {{
+        return SETUP_DATAARRAY;
+    }}
+{}{}{}}}
+",
         by_index("const char *", "getLoopByIndex", "LOOP"),
         by_index("const char *const *", "getAnimationDataByIndex", "DATAARRAY"),
         by_index("const uint16_t *", "getConfigValues", "CONFIG"),

@@ -50,11 +50,15 @@ fn array(track: &PulseTrack<'_>) -> String {
     let name = identifier(track.motion);
     let upper = name.to_uppercase();
     let frames = track.whole_us();
+    let (frame_count, servo_count) = (frames.len(), track.servos.len());
     let mut text = format!(
-        "\n#define {upper}_FRAMES {}\n#define {upper}_SERVOS {}\n#define {upper}_MILLIHZ {:.0}\n\nstatic const uint16_t \
-         {name}_us[{upper}_FRAMES * {upper}_SERVOS] KARAKURI_PROGMEM = {{\n",
-        frames.len(),
-        track.servos.len(),
+        "
+#define {upper}_FRAMES {frame_count}
+#define {upper}_SERVOS {servo_count}
+#define {upper}_MILLIHZ {:.0}
+
+static const uint16_t {name}_us[{upper}_FRAMES * {upper}_SERVOS] KARAKURI_PROGMEM = {{
+",
         track.motion.rate_hz * 1000.0
     );
     for line in frames.concat().chunks(NUMBERS_A_LINE) {

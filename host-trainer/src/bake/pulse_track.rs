@@ -73,8 +73,8 @@ impl<'a> PulseTrack<'a> {
             if clamped > 0 {
                 let at_s = first as f64 / self.motion.rate_hz;
                 remarks.push(format!(
-                    "seed {}: {} is asked beyond {min:.0} to {max:.0} µs in {clamped} frames, first at {at_s:.2} s, by \
-                     up to {worst:.0} µs; kept at the end of its range",
+                    "seed {}: {} is asked beyond {min:.0} to {max:.0} µs in {clamped} frames, first at {at_s:.2} s, \
+                     by up to {worst:.0} µs; kept at the end of its range",
                     self.motion.seed, servo.name
                 ));
             }

@@ -74,7 +74,7 @@ struct FileSummary {
 /// Writes the files, says on stderr what a format could not hold exactly, and prints the files' names on stdout.
 ///
 /// # Errors
-/// Those of [`MotionArgs::generate`] and [`bake::bake`]; a file that exists, without `--force`. Then nothing is written.
+/// Those of [`MotionArgs::generate`] and [`bake::bake`]; a file that exists, without `--force`. Nothing is written.
 pub fn run(args: &BakeArgs) -> Result<()> {
     let motions = args.motions.generate()?;
     let servos = servos(args, &motions)?;
