@@ -192,6 +192,57 @@ impl fmt::Display for SampleError {
 
 impl core::error::Error for SampleError {}
 
+/// Why a body does not do what it was told; it goes on as before.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum PlayError {
+    /// The model has more channels than this voice or player was built for. Raise its `CHANNELS`.
+    TooManyChannels {
+        /// Channels of the model.
+        count: usize,
+        /// Channels that fit.
+        max: usize,
+    },
+    /// As many motions wait as fit. Ask again when one has ended, or play one at once.
+    QueueFull {
+        /// Motions that fit.
+        max: usize,
+    },
+    /// An overlay of more channels than [`OVERLAY_CHANNELS_MAX`](crate::limits::OVERLAY_CHANNELS_MAX), or more
+    /// overlays than [`OVERLAYS_MAX`](crate::limits::OVERLAYS_MAX). Use fewer.
+    TooManyOverlays {
+        /// Channels or overlays asked for.
+        count: usize,
+        /// As many fit.
+        max: usize,
+    },
+    /// The motion cannot be drawn.
+    Sample(SampleError),
+}
+
+impl fmt::Display for PlayError {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::TooManyChannels { count, max } => {
+                write!(out, "the model has {count} channels, at most {max} fit")
+            }
+            Self::TooManyOverlays { count, max } => {
+                write!(out, "{count} overlays or channels of one, at most {max} fit")
+            }
+            Self::QueueFull { max } => write!(out, "{max} motions wait already, no more fit"),
+            Self::Sample(error) => error.fmt(out),
+        }
+    }
+}
+
+impl core::error::Error for PlayError {}
+
+impl From<SampleError> for PlayError {
+    fn from(error: SampleError) -> Self {
+        Self::Sample(error)
+    }
+}
+
 /// Why servos cannot be driven.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]

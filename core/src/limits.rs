@@ -12,6 +12,21 @@ pub const CHANNELS_MAX: usize = 256;
 /// each, 4.9 µs a step at 50 Hz) side by side on one I²C bus; a desk creature has about a dozen.
 pub const SERVOS_MAX: usize = 32;
 
+/// Channels of one [`Overlay`](crate::Overlay): a gaze has three or four, a breath about as many.
+pub const OVERLAY_CHANNELS_MAX: usize = 8;
+
+/// Overlays of one [`Player`](crate::Player), about 110 bytes each: breath, gaze, lids and jaw.
+pub const OVERLAYS_MAX: usize = 4;
+
+/// Motions that wait in a [`Player`](crate::Player), about 60 bytes each.
+pub const QUEUE_MAX: usize = 4;
+
+/// Markers of one motion, 8 bytes each.
+pub const MARKERS_MAX: usize = 4;
+
+/// Events of a [`Player`](crate::Player) that nobody has taken yet; more push the oldest out.
+pub const EVENTS_MAX: usize = 8;
+
 /// Numbers of one code, sequence part and action part together; a [`Code`](crate::Code) takes 2 bytes for each.
 pub const CODE_MAX: usize = 512;
 

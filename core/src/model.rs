@@ -5,10 +5,11 @@
 //!
 //! Why here: everything that can be wrong is found once, in `Model::from_bytes`; decoding cannot fail afterwards.
 
+mod codes;
+
 use crate::blob::{Envelope, aligned};
-use crate::code::Code;
 use crate::descriptions::Reader;
-use crate::error::{BlobError, SampleError};
+use crate::error::BlobError;
 use crate::layer::{Inputs, Layer, Order};
 use crate::limits::LAYERS_MAX;
 use crate::little_endian::i16s;
@@ -241,61 +242,6 @@ impl<'a> Model<'a> {
         u16::try_from(index).ok().map(ActionId)
     }
 
-    /// Shortest and longest trained motion of an action, in frames; both 0 when there is no such action.
-    pub fn trained_frames(&self, action: ActionId) -> core::ops::RangeInclusive<u32> {
-        self.sampler.trained_frames(action)
-    }
-
-    /// Draws the code of a new motion. Any generator serves: `&mut || rng.next_u32()`.
-    ///
-    /// # Errors
-    /// [`SampleError`]: no such action, or a length that was never trained.
-    pub fn sample(
-        &self,
-        action: ActionId,
-        frames: u32,
-        random: &mut impl FnMut() -> u32,
-    ) -> Result<Code, SampleError> {
-        let mut code = Code::new();
-        self.sample_into(action, frames, random, &mut code)?;
-        Ok(code)
-    }
-
-    /// [`sample`](Self::sample) without a second kilobyte of stack: into a code that lies where it is needed. After an
-    /// error the code is as it was.
-    ///
-    /// # Errors
-    /// As [`sample`](Self::sample).
-    pub fn sample_into(
-        &self,
-        action: ActionId,
-        frames: u32,
-        random: &mut impl FnMut() -> u32,
-        code: &mut Code,
-    ) -> Result<(), SampleError> {
-        self.sampler.sample(action, frames, random, code)
-    }
-
-    /// A code from floats (β then α), rounded to nearest, saturated; numbers beyond the model's are dropped, missing
-    /// ones are 0. For hosts: the device draws its codes with [`sample`](Self::sample).
-    pub fn code_from_f32(&self, values: &[f32]) -> Code {
-        let one = (1u32 << self.manifest.code_fraction_bits) as f32;
-        let given = values.iter().copied().chain(core::iter::repeat(0.0));
-        let round = |value: f32| {
-            let scaled = value * one;
-            (if scaled < 0.0 { scaled - 0.5 } else { scaled + 0.5 }) as i16
-        };
-        let mut code = Code::new();
-        code.append(given.take(self.code_count()).map(round));
-        code
-    }
-
-    /// The numbers of a code (β then α) as floats, exact.
-    pub fn code_to_f32(&self, code: &Code) -> impl Iterator<Item = f32> {
-        let one = (1u32 << self.manifest.code_fraction_bits) as f32;
-        code.values.clone().into_iter().map(move |value| f32::from(value) / one)
-    }
-
     /// Everything of fixed size that the blob says about itself.
     pub fn manifest(&self) -> &Manifest<'a> {
         &self.manifest
@@ -454,7 +400,7 @@ mod tests {
             let mut workspace = crate::Workspace::<16>::new();
             let mut pose = crate::Pose::new();
             if let Ok(mut decoder) = crate::Decoder::new(&model, &mut workspace) {
-                decoder.start(&Code::new());
+                decoder.start(&crate::Code::new());
                 decoder.decode(crate::FramePosition::from_bits(0), &mut pose);
             }
             assert!(pose.channels().is_empty());

@@ -10,13 +10,14 @@
 //! Source: MotionINR, Algorithm 1, for length intervals and mixtures per action.
 
 use crate::code::{Code, interpolate};
+use crate::dials::Dials;
 use crate::error::{BlobError, SampleError};
+use crate::length_interval::Interval;
 use crate::little_endian::{i16s, i32s, u16s};
-use crate::manifest::{
-    COLUMN_BYTES, INTERVAL_BYTES, MEMBER_BYTES, Manifest, SamplerKind, TensorKind,
-};
+use crate::manifest::{COLUMN_BYTES, MEMBER_BYTES, Manifest, SamplerKind, TensorKind};
 use crate::model::ActionId;
 use crate::random::{below, gaussian_q12};
+use crate::variety::Variety;
 
 /// Tables of the sampler, in flash.
 #[derive(Clone, Copy, Debug)]
@@ -40,36 +41,6 @@ pub(crate) struct Sampler<'a> {
     intervals: &'a [u8],
 }
 
-/// One stored length interval of one action; lengths are inclusive.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Interval {
-    action: u16,
-    frames_min: u16,
-    frames_max: u16,
-    /// Factor on the shared noise, Q4.12.
-    spread: u16,
-    member_first: u32,
-    member_count: u32,
-}
-
-impl Interval {
-    fn parse(record: &[u8; INTERVAL_BYTES]) -> Self {
-        let [a, b, c, d, e, f, g, h, first @ .., i, j, k, l] = *record;
-        Self {
-            action: u16::from_le_bytes([a, b]),
-            frames_min: u16::from_le_bytes([c, d]),
-            frames_max: u16::from_le_bytes([e, f]),
-            spread: u16::from_le_bytes([g, h]),
-            member_first: u32::from_le_bytes(first),
-            member_count: u32::from_le_bytes([i, j, k, l]),
-        }
-    }
-
-    fn contains(&self, frames: u32) -> bool {
-        (u32::from(self.frames_min)..=u32::from(self.frames_max)).contains(&frames)
-    }
-}
-
 /// How one number of every clip's code is stored.
 #[derive(Clone, Copy, Debug)]
 struct Column {
@@ -84,6 +55,9 @@ impl Column {
         Self { least: i16::from_le_bytes([a, b]), bits, filler }
     }
 }
+
+/// Columns whose means are worked out in one reading of all rows.
+const MEAN_COLUMNS: usize = 16;
 
 impl<'a> Sampler<'a> {
     /// Without any table.
@@ -208,45 +182,94 @@ impl<'a> Sampler<'a> {
         &self,
         action: ActionId,
         frames: u32,
+        dials: Dials,
         random: &mut impl FnMut() -> u32,
         code: &mut Code,
     ) -> Result<(), SampleError> {
-        if action.0 >= self.action_count {
-            return Err(SampleError::UnknownAction { action: action.0, count: self.action_count });
-        }
-        let trained = self.trained_frames(action);
-        let (frames_min, frames_max) = (*trained.start(), *trained.end());
-        let interval = self
-            .intervals()
-            .find(|interval| interval.action == action.0 && interval.contains(frames))
-            .ok_or(SampleError::OutsideTraining { frames, frames_min, frames_max })?;
+        let interval = self.interval_of(action, frames)?;
         code.values.clear();
+        let variety = Variety::new(self.step_max_q16, dials.variety_q12);
         match self.kind {
-            SamplerKind::ClipCodes => self.sample_clip(&interval, random, code),
-            SamplerKind::DiagonalMixture => self.sample_gaussian(&interval, random, code),
+            SamplerKind::ClipCodes => self.sample_clip(&interval, variety, random, code),
+            SamplerKind::DiagonalMixture => self.sample_gaussian(&interval, variety, random, code),
             SamplerKind::NearestClips { clip_count, .. } => {
-                let nearest = self.nearest(&interval, frames, u32::from(clip_count));
-                self.sample_clip(&nearest, random, code);
+                let clip_count = variety.clips(u32::from(clip_count));
+                let nearest = self.nearest(&interval, frames, clip_count);
+                self.sample_clip(&nearest, variety, random, code);
             }
+        }
+        if dials.intensity_q12 != Dials::ONE_Q12 {
+            self.move_from_mean(action, dials.intensity_q12, code);
         }
         code.append(self.action_code(action));
         Ok(())
     }
 
+    /// Whether a motion can be drawn.
+    pub fn check_request(&self, action: ActionId, frames: u32) -> Result<(), SampleError> {
+        self.interval_of(action, frames).map(|_| ())
+    }
+
+    fn interval_of(&self, action: ActionId, frames: u32) -> Result<Interval, SampleError> {
+        if action.0 >= self.action_count {
+            return Err(SampleError::UnknownAction { action: action.0, count: self.action_count });
+        }
+        let trained = self.trained_frames(action);
+        let (frames_min, frames_max) = (*trained.start(), *trained.end());
+        self.intervals()
+            .find(|interval| interval.action == action.0 && interval.contains(frames))
+            .ok_or(SampleError::OutsideTraining { frames, frames_min, frames_max })
+    }
+
+    /// Stretches a code about the mean of its action's components by Q4.12, rounded to nearest, saturated.
+    #[inline(never)]
+    fn move_from_mean(&self, action: ActionId, intensity_q12: u16, code: &mut Code) {
+        let intensity = i64::from(intensity_q12);
+        for (place, values) in code.values.chunks_mut(MEAN_COLUMNS).enumerate() {
+            let means = self.means_of(action, place * MEAN_COLUMNS);
+            for (value, mean) in values.iter_mut().zip(means) {
+                let out_q12 = (i64::from(*value) - mean) * intensity;
+                *value = saturate(mean + ((out_q12 + (1 << 11)) >> 12));
+            }
+        }
+    }
+
+    /// Means of a few columns over the components of an action, rounded down; every component counts once in each of
+    /// its intervals. A few at a time, because numbers of uneven length are found by reading the row from its start.
+    fn means_of(&self, action: ActionId, column: usize) -> [i64; MEAN_COLUMNS] {
+        let (mut sums, mut count) = ([0i64; MEAN_COLUMNS], 0);
+        for interval in self.intervals().filter(|interval| interval.action == action.0) {
+            for member in 0..interval.member_count {
+                let numbers = self.mean(self.component_of(&interval, member)).skip(column);
+                for (sum, number) in sums.iter_mut().zip(numbers) {
+                    *sum += i64::from(number);
+                }
+                count += 1;
+            }
+        }
+        sums.map(|sum| sum.div_euclid(count.max(1)))
+    }
+
     /// One of the interval's members, moved towards another, with noise.
     // Never twice in an image: two kinds call it.
     #[inline(never)]
-    fn sample_clip(&self, interval: &Interval, random: &mut impl FnMut() -> u32, code: &mut Code) {
+    fn sample_clip(
+        &self,
+        interval: &Interval,
+        variety: Variety,
+        random: &mut impl FnMut() -> u32,
+        code: &mut Code,
+    ) {
         let chosen = below(interval.member_count, random);
         // Any of the others with equal chance; the clip itself when it is alone.
         let skip = 1 + below(interval.member_count.saturating_sub(1), random);
         let neighbour = (chosen + skip) % interval.member_count.max(1);
-        let fraction = (i64::from(random()) * i64::from(self.step_max_q16)) >> 32;
+        let fraction = (i64::from(random()) * i64::from(variety.step_max_q16)) >> 32;
         let from = self.mean(self.component_of(interval, chosen));
         let to = self.mean(self.component_of(interval, neighbour));
         let spread = i64::from(interval.spread);
-        let sigmas =
-            i32s(self.deviation_steps).map(|step| ((i64::from(step) * spread) >> 12) as i32);
+        let sigmas = i32s(self.deviation_steps)
+            .map(|step| variety.sigma(((i64::from(step) * spread) >> 12) as i32));
         let means = from.zip(to).map(|(from, to)| interpolate(from, to, fraction));
         let values = means.zip(sigmas);
         code.append(values.map(|(mean, sigma)| add_noise(mean, sigma, random)));
@@ -269,6 +292,7 @@ impl<'a> Sampler<'a> {
     fn sample_gaussian(
         &self,
         interval: &Interval,
+        variety: Variety,
         random: &mut impl FnMut() -> u32,
         code: &mut Code,
     ) {
@@ -281,7 +305,8 @@ impl<'a> Sampler<'a> {
         let component = self.component_of(interval, chosen);
         let deviations =
             self.row(self.deviations, component).iter().zip(i32s(self.deviation_steps));
-        let sigmas = deviations.map(|(&deviation, step)| i32::from(deviation).saturating_mul(step));
+        let sigmas = deviations
+            .map(|(&deviation, step)| variety.sigma(i32::from(deviation).saturating_mul(step)));
         let values = self.mean(component).zip(sigmas);
         code.append(values.map(|(mean, sigma)| add_noise(mean, sigma, random)));
     }
@@ -373,7 +398,7 @@ mod tests {
 
     use crate::manifest::{NumberFormat, SamplerKind};
     use crate::specimen::{KINDS, specimen};
-    use crate::{ActionId, Model, Pcg32, SampleError};
+    use crate::{ActionId, Code, Dials, Model, Pcg32, SampleError};
 
     #[test]
     fn unknown_action_is_rejected() {
@@ -450,6 +475,52 @@ mod tests {
             assert_eq!(code[1], -300, "{code:?}");
             assert!((-300..=306).contains(&code[0]), "{code:?}");
         }
+    }
+
+    fn drawn_with(kind: SamplerKind, dials: Dials, seed: u64) -> Code {
+        let blob = specimen(NumberFormat::W8A16, kind);
+        let model = Model::from_bytes(&blob).unwrap();
+        let (mut random, mut code) = (Pcg32::new(seed), Code::new());
+        let mut draw = || random.next_u32();
+        model.sample_with(ActionId(0), 20, dials, &mut draw, &mut code).unwrap();
+        code
+    }
+
+    #[test]
+    fn motion_without_intensity_is_the_same_whatever_the_seed() {
+        for kind in KINDS {
+            let dials = Dials { intensity_q12: 0, ..Dials::NEUTRAL };
+            assert_eq!(drawn_with(kind, dials, 1), drawn_with(kind, dials, 2));
+        }
+    }
+
+    #[test]
+    fn intensity_stretches_a_code_about_the_mean_of_its_action() {
+        for kind in KINDS {
+            let [mean, near, one, far] = [0, 2048, 4096, 6144].map(|intensity_q12| {
+                drawn_with(kind, Dials { intensity_q12, ..Dials::NEUTRAL }, 5)
+            });
+            assert_eq!(one, drawn_with(kind, Dials::NEUTRAL, 5));
+            for column in 0..3 {
+                let [mean, near, one, far] =
+                    [&mean, &near, &one, &far].map(|code| i32::from(code.values()[column]));
+                assert!((2 * (near - mean) - (one - mean)).abs() <= 1, "{near} of {mean}, {one}");
+                assert!((2 * (far - mean) - 3 * (one - mean)).abs() <= 1, "{far} of {mean}, {one}");
+            }
+            // α is the action's own.
+            assert_eq!(mean.values()[3..], one.values()[3..]);
+        }
+    }
+
+    #[test]
+    fn draw_without_variety_is_the_clip_that_is_nearest_in_length() {
+        let dials = Dials { variety_q12: 0, ..Dials::NEUTRAL };
+        let kind = SamplerKind::NearestClips { clip_count: 2, row_bytes: 2 };
+        let codes: Vec<Code> = (0..50).map(|seed| drawn_with(kind, dials, seed)).collect();
+        assert!(codes.iter().all(|code| *code == codes[0]));
+        let wide = Dials { variety_q12: 8192, ..Dials::NEUTRAL };
+        let wide: Vec<Code> = (0..50).map(|seed| drawn_with(kind, wide, seed)).collect();
+        assert!((1..50).all(|index| !wide[..index].contains(&wide[index])));
     }
 
     #[test]

@@ -34,7 +34,7 @@ pub struct ClipOptions {
 
 impl ClipOptions {
     /// By the front of ARCHITECTURE.md, "How motions are drawn".
-    pub const DEFAULT: Self = Self { clip_count: 8, step_max: 0.1, noise: 1.0, bits_mean: 5.0 };
+    pub const DEFAULT: Self = Self { clip_count: 5, step_max: 0.05, noise: 1.0, bits_mean: 5.0 };
 }
 
 /// Bytes of the device's record of an action.
