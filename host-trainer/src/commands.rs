@@ -11,6 +11,7 @@ pub mod generate;
 pub mod inspect;
 pub mod inspect_clips;
 pub mod motions;
+pub mod plan;
 pub mod quantize;
 pub mod reconstruct;
 pub mod reproduce;

@@ -32,6 +32,7 @@ pub mod evaluate;
 pub mod export;
 pub mod keyframe;
 pub mod bake;
+pub mod plan;
 pub mod picture;
 pub mod reproduce;
 pub mod commands;

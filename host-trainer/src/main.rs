@@ -4,8 +4,8 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 use host_trainer::commands::{
-    bake, bench, character, classify, demo, evaluate, generate, inspect, inspect_clips, quantize,
-    reconstruct, reproduce, samplers, train, tune,
+    bake, bench, character, classify, demo, evaluate, generate, inspect, inspect_clips, plan,
+    quantize, reconstruct, reproduce, samplers, train, tune,
 };
 use host_trainer::error::Result;
 
@@ -41,6 +41,8 @@ enum Verb {
     Generate(generate::GenerateArgs),
     /// Make new motions as files that other software and firmware play
     Bake(bake::BakeArgs),
+    /// Say whether a model fits a board, how fast it is there, and when keyframes are smaller
+    Plan(plan::PlanArgs),
     /// Train the classifier that motions are evaluated by
     Classify(classify::ClassifyArgs),
     /// Measure how real generated motions are
@@ -74,6 +76,7 @@ fn run(verb: &Verb) -> Result<()> {
         Verb::Quantize(args) => quantize::run(args),
         Verb::Generate(args) => generate::run(args),
         Verb::Bake(args) => bake::run(args),
+        Verb::Plan(args) => plan::run(args),
         Verb::Classify(args) => classify::run(args),
         Verb::Evaluate(args) => evaluate::run(args),
         Verb::Samplers(args) => samplers::run(args),

@@ -82,7 +82,7 @@ fn emit_joint(
 }
 
 /// Angles about z, x and y, in degrees, of `R = Rz · Rx · Ry`.
-fn euler_zxy_deg(rotation: &Rotation) -> [f64; 3] {
+pub(crate) fn euler_zxy_deg(rotation: &Rotation) -> [f64; 3] {
     let [[r00, r01, _], [r10, r11, _], [r20, r21, r22]] = rotation.rows;
     let (z, x, y) = if r21.abs() < GIMBAL_LOCK_SINE {
         ((-r01).atan2(r11), r21.asin(), (-r20).atan2(r22))

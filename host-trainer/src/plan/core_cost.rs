@@ -1,0 +1,150 @@
+//! What a pose costs on a core, by a model of three numbers: products, rows, sinusoids.
+//!
+//! In:  a checked blob.
+//! Out: instructions, code, stack, to `plan.rs`.
+//!
+//! Why here: counting takes an emulator and a cross-compiler (`firmware-sim bench`); a plan should take neither. The
+//! kernels' loops cost one factor a multiply-accumulate and one a row; activation and requantisation cost one a row,
+//! the time embedding one a sinusoid. Gates and phases (presets `small`, `tiny`) add less than 1,000 instructions.
+//! Source: solved from `tests/golden/instructions.csv`, two networks, with their kernels counted apart;
+//! `tests/plan_costs.rs` holds every number against the table. Cycles: `firmware-sim`'s estimate of each core.
+
+use karakuri::manifest::TIME_LAYER;
+use karakuri::{Model, NumberFormat};
+
+/// A processor core that boards have.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Core {
+    /// Armv6-M.
+    CortexM0Plus,
+    /// Armv7E-M.
+    CortexM4,
+    /// Armv7E-M with two instructions a cycle.
+    CortexM7,
+    /// Armv8-M with DSP instructions.
+    CortexM33,
+}
+
+impl Core {
+    /// Every core.
+    pub const ALL: [Self; 4] =
+        [Self::CortexM0Plus, Self::CortexM4, Self::CortexM7, Self::CortexM33];
+
+    /// The name in reports, the same as that of the simulator's target.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::CortexM0Plus => "cortex-m0plus",
+            Self::CortexM4 => "cortex-m4",
+            Self::CortexM7 => "cortex-m7",
+            Self::CortexM33 => "cortex-m33",
+        }
+    }
+
+    /// Cycles of an instruction on memory without wait states; assumed, not measured on silicon.
+    pub fn cycles_per_instruction(self, format: NumberFormat) -> f64 {
+        match (self, format == NumberFormat::F16) {
+            (Self::CortexM0Plus, _) => 1.2,
+            (Self::CortexM4 | Self::CortexM33, false) => 1.4,
+            (Self::CortexM4 | Self::CortexM33, true) => 2.2,
+            (Self::CortexM7, false) => 0.7,
+            (Self::CortexM7, true) => 1.1,
+        }
+    }
+
+    /// What one number format costs on this core.
+    pub const fn cost(self, format: NumberFormat) -> CoreCost {
+        match (self, format) {
+            (Self::CortexM0Plus, NumberFormat::W8A16) => {
+                CoreCost::new([4.185, 128.7, 126.7], 23_908, 748)
+            }
+            (Self::CortexM0Plus, NumberFormat::W8A8) => {
+                CoreCost::new([3.623, 130.9, 132.7], 24_272, 748)
+            }
+            (Self::CortexM0Plus, NumberFormat::W4A8) => {
+                CoreCost::new([4.204, 136.2, 128.3], 27_108, 840)
+            }
+            // Floats in software.
+            (Self::CortexM0Plus, NumberFormat::F16) => {
+                CoreCost::new([353.343, 762.4, 0.0], 31_680, 740)
+            }
+            (Self::CortexM4, NumberFormat::W8A16) => {
+                CoreCost::new([1.140, 46.8, 72.6], 21_252, 600)
+            }
+            (Self::CortexM4, NumberFormat::W8A8) => CoreCost::new([0.866, 49.4, 77.2], 21_876, 604),
+            (Self::CortexM4, NumberFormat::W4A8) => CoreCost::new([0.989, 56.2, 74.2], 25_512, 648),
+            (Self::CortexM4, NumberFormat::F16) => CoreCost::new([2.127, 30.4, 58.4], 27_328, 600),
+            (Self::CortexM7, NumberFormat::W8A16) => {
+                CoreCost::new([1.140, 46.8, 72.4], 21_556, 600)
+            }
+            (Self::CortexM7, NumberFormat::W8A8) => CoreCost::new([0.866, 49.4, 77.0], 22_132, 604),
+            (Self::CortexM7, NumberFormat::W4A8) => CoreCost::new([0.989, 56.9, 74.5], 25_812, 672),
+            (Self::CortexM7, NumberFormat::F16) => CoreCost::new([2.127, 30.6, 58.3], 27_476, 608),
+            (Self::CortexM33, NumberFormat::W8A16) => {
+                CoreCost::new([1.140, 46.8, 72.6], 21_400, 600)
+            }
+            (Self::CortexM33, NumberFormat::W8A8) => {
+                CoreCost::new([0.866, 49.4, 77.2], 22_004, 604)
+            }
+            (Self::CortexM33, NumberFormat::W4A8) => {
+                CoreCost::new([0.989, 56.2, 74.2], 25_616, 648)
+            }
+            (Self::CortexM33, NumberFormat::F16) => CoreCost::new([2.127, 30.4, 58.4], 27_396, 600),
+        }
+    }
+}
+
+/// What decoding costs on a core in one number format.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CoreCost {
+    /// Instructions a multiply-accumulate, a row of a layer, a sinusoid.
+    pub instructions: [f64; 3],
+    /// Flash of code and tables: loader, sampler, decoder.
+    pub code_bytes: u32,
+    /// Deepest stack, the loader's included.
+    pub stack_bytes: u32,
+}
+
+impl CoreCost {
+    const fn new(instructions: [f64; 3], code_bytes: u32, stack_bytes: u32) -> Self {
+        Self { instructions, code_bytes, stack_bytes }
+    }
+
+    /// Instructions of a pose.
+    pub fn pose_instructions(&self, work: &PoseWork) -> f64 {
+        let [product, row, sinusoid] = self.instructions;
+        product * work.multiply_accumulates as f64
+            + row * work.rows as f64
+            + sinusoid * work.sinusoids as f64
+    }
+}
+
+/// What a pose takes, whatever the core.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PoseWork {
+    /// Products of all layers after the code half.
+    pub multiply_accumulates: u64,
+    /// Outputs of all of them.
+    pub rows: u64,
+    /// Inputs of the time half.
+    pub sinusoids: u64,
+}
+
+impl PoseWork {
+    /// Of layers given as (inputs, outputs), the code half not among them.
+    pub fn of_layers(layers: impl Iterator<Item = (u16, u16)> + Clone) -> Self {
+        Self {
+            multiply_accumulates: layers
+                .clone()
+                .map(|(inputs, outputs)| u64::from(inputs) * u64::from(outputs))
+                .sum(),
+            rows: layers.clone().map(|(_, outputs)| u64::from(outputs)).sum(),
+            sinusoids: layers.clone().next().map_or(0, |(inputs, _)| u64::from(inputs)),
+        }
+    }
+
+    /// Of a blob.
+    pub fn of_model(model: &Model<'_>) -> Self {
+        let layers = model.manifest().layers.iter().skip(TIME_LAYER);
+        Self::of_layers(layers.map(|shape| (shape.input_count, shape.output_count)))
+    }
+}

@@ -1,0 +1,39 @@
+//! What a tick of the servo loop costs between two poses: player and servo stage.
+//!
+//! In:  channels, servos.
+//! Out: instructions and RAM, to `plan.rs`.
+//!
+//! Why here: the one place for these numbers. **They are rough estimates from the arithmetic, not counts**, and every
+//! report says so while [`IS_MEASURED`] is false.
+
+use karakuri::ServoStage;
+
+use super::core_cost::Core;
+
+/// Whether the numbers below were counted.
+pub const IS_MEASURED: bool = false;
+
+/// RAM of a player beside its poses: queue, dials, layers.
+const PLAYER_BYTES: usize = 512;
+/// RAM of a player a channel: two poses to interpolate between, with velocities, and what a transition remembers.
+const PLAYER_BYTES_PER_CHANNEL: usize = 24;
+
+/// Instructions of one tick: always, a channel, a servo.
+const fn instructions(core: Core) -> [u64; 3] {
+    match core {
+        // 64-bit products and quotients are calls there.
+        Core::CortexM0Plus => [500, 150, 900],
+        Core::CortexM4 | Core::CortexM7 | Core::CortexM33 => [300, 50, 300],
+    }
+}
+
+/// Instructions of one tick.
+pub fn tick_instructions(core: Core, channels: usize, servos: usize) -> u64 {
+    let [always, per_channel, per_servo] = instructions(core);
+    always + per_channel * channels as u64 + per_servo * servos as u64
+}
+
+/// RAM of player and servo stage.
+pub fn tick_ram_bytes(channels: usize) -> usize {
+    size_of::<ServoStage>() + PLAYER_BYTES + PLAYER_BYTES_PER_CHANNEL * channels
+}
