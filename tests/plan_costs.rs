@@ -58,13 +58,19 @@ fn instructions_of_the_model_are_those_counted_within_two_percent() {
 fn code_and_stack_are_those_counted_within_a_tenth() {
     for (core, format, _, cells) in rows() {
         let cost = core.cost(format);
-        let stacks = ["load", "sample", "fold", "pose"].map(|part| number(&cells, &format!("{part}_stack_bytes")));
+        let stacks = ["load", "sample", "fold", "pose"]
+            .map(|part| number(&cells, &format!("{part}_stack_bytes")));
         let stack = stacks.into_iter().fold(0.0, f64::max);
         for (planned, counted) in
             [(cost.code_bytes, number(&cells, "code_bytes")), (cost.stack_bytes, stack)]
         {
             let share = (f64::from(planned) / counted - 1.0).abs();
-            assert!(share < BYTES_SHARE, "{} {}: {planned}, counted {counted}", core.name(), format.name());
+            assert!(
+                share < BYTES_SHARE,
+                "{} {}: {planned}, counted {counted}",
+                core.name(),
+                format.name()
+            );
         }
     }
 }
@@ -72,7 +78,8 @@ fn code_and_stack_are_those_counted_within_a_tenth() {
 #[test]
 fn cycles_per_instruction_are_the_simulators() {
     for core in Core::ALL {
-        let target = Target::ALL.into_iter().find(|target| target.name() == core.name()).expect("a target");
+        let target =
+            Target::ALL.into_iter().find(|target| target.name() == core.name()).expect("a target");
         for format in NumberFormat::ALL {
             let estimate = Estimate::new(target, format, 1);
             assert_eq!(core.cycles_per_instruction(format), estimate.cycles_per_instruction);

@@ -30,7 +30,8 @@ pub const TICK_RATES_HZ: [f64; 3] = [50.0, 100.0, 200.0];
 /// Flash of a player of keyframes, which a model is spared; an estimate.
 pub const KEYFRAME_PLAYER_BYTES: usize = 1024;
 /// Stated with every plan.
-pub const VERDICT: &str = "Use keyframes if library < T*; use the model if you need variation, arbitrary duration, or blending.";
+pub const VERDICT: &str = "Use keyframes if library < T*; use the model if you need variation, arbitrary duration, or \
+    blending.";
 
 /// Everything that a plan says.
 #[derive(Clone, Debug, PartialEq, Serialize)]

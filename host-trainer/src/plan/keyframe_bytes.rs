@@ -3,8 +3,8 @@
 //! In:  [`Hinges`] of every clip.
 //! Out: [`KeyframeReport`] to `plan.rs`.
 //!
-//! Why here: a model is worth its flash only against keyframes that were chosen as well as can be. Errors of position are
-//! the largest at any sample; those of velocity are reported beside them, because straight lines look better in
+//! Why here: a model is worth its flash only against keyframes that were chosen as well as can be. Errors of position
+//! are the largest at any sample; those of velocity are reported beside them, because straight lines look better in
 //! position than they move.
 
 use rayon::prelude::*;

@@ -26,12 +26,17 @@ impl fmt::Display for Plan {
         };
         writeln!(
             out,
-            "Instructions of a pose follow counts under QEMU; cycles per instruction and waiting for flash are assumed;\n\
-             ticks are {ticks}. Safe: a tick with every pose in {:.0} % of the processor.\n",
+            "Instructions of a pose follow counts under QEMU; cycles per instruction and waiting for flash are \
+             assumed;\nticks are {ticks}. Safe: a tick with every pose in {:.0} % of the processor.\n",
             100.0 * SAFE_SHARE
         )?;
         writeln!(out, "{}", self.keyframe_lines())?;
         writeln!(out, "{}", keyframes(&self.keyframes.rows, &self.break_even))?;
+        writeln!(
+            out,
+            "A model gives clips back approximately (`host-trainer reconstruct` measures it), keyframes within the \
+             error above.\n"
+        )?;
         write!(out, "{}", self.verdict)
     }
 }
