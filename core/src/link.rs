@@ -20,6 +20,7 @@ mod frame;
 mod inbox;
 mod loader;
 mod message;
+mod performer;
 mod receiver;
 
 pub use error::LinkError;
@@ -27,6 +28,7 @@ pub use frame::frame_bytes_max;
 pub use inbox::{Arrival, Inbox};
 pub use loader::{BlobSink, Loader, SinkError};
 pub use message::{Command, DialSettings, Mode, Play, Refusal, Report};
+pub use performer::Performer;
 pub use receiver::{Frame, Receiver};
 
 /// Version of the frames and messages that this crate writes and reads.

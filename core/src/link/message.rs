@@ -25,7 +25,7 @@ pub enum Command<'a> {
     SoftStop,
     /// Release all servos at once.
     Relax,
-    /// Servos on, softly, from the park pose; after a hold: go on.
+    /// Servos on, softly, from the park pose; after a hold, go on.
     Wake,
     /// Forget a latched fault. Refused while its cause persists.
     ClearFault,
@@ -49,6 +49,11 @@ pub enum Command<'a> {
     LoadCommit,
     /// Answered by [`Report::State`].
     Query,
+    /// Whether to live on between motions, by actions of the body's own choice.
+    Idle {
+        /// Whether it does.
+        is_alive: bool,
+    },
 }
 
 /// A motion to play.
@@ -64,17 +69,17 @@ pub struct Play {
     pub then: bool,
 }
 
-/// How to move, each Q8.8: 256 is 1.0.
+/// How to move, each Q4.12: 4096 is 1; see [`Dials`](crate::Dials).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct DialSettings {
-    /// Distance from the action's mean motion; 1.0 as learned.
-    pub intensity: u16,
-    /// Speed; 1.0 as learned.
-    pub rate: u16,
-    /// Part of the time to rest between motions, 0 to 1.0.
-    pub stillness: u16,
-    /// How different motions are; 1.0 as learned.
-    pub variety: u16,
+    /// Distance from the action's mean motion.
+    pub intensity_q12: u16,
+    /// Speed of time.
+    pub rate_q12: u16,
+    /// Share of the time that an idle body rests.
+    pub stillness_q12: u16,
+    /// Temperature of the draw.
+    pub variety_q12: u16,
 }
 
 /// Chip to host. Variants are only ever added at the end.
@@ -83,8 +88,8 @@ pub struct DialSettings {
 pub enum Report {
     /// After a reset, and in answer to [`Command::Hello`].
     Hello {
-        /// CRC-32 in the header of the blob; 0 without one.
-        blob_crc: u32,
+        /// Beginning of the hash of the configuration that the model was trained with; zeros without one.
+        model_hash: [u8; 8],
         /// Actions of the model.
         action_count: u16,
         /// Servos of the calibration.
@@ -115,17 +120,11 @@ pub enum Report {
         mode: Mode,
         /// The action that is played.
         action: Option<u16>,
-        /// Milliseconds of it that are left.
-        left_ms: u32,
-        /// Motions that wait.
-        queued: u8,
     },
     /// A fault was latched: the body decelerates and holds until the fault is cleared.
     Fault {
-        /// Code of the fault.
+        /// [`Fault::code`](crate::Fault::code).
         code: u16,
-        /// The servo it is about, where it is about one.
-        servo: Option<u8>,
     },
     /// What was commanded at one tick.
     Telemetry {
@@ -146,9 +145,9 @@ pub enum Report {
 pub enum Mode {
     /// Servos are released.
     Relaxed,
-    /// Alive between commands.
-    Idle,
-    /// An action is played.
+    /// Between motions.
+    Resting,
+    /// An action is played, by command or of the body's own choice.
     Playing,
     /// Stands still until woken.
     Holding,
@@ -185,6 +184,8 @@ pub enum Refusal {
         /// Code of the fault.
         code: u16,
     },
+    /// The servos are released. Send [`Command::Wake`] first.
+    Asleep,
     /// Blobs are loaded while servos are released. Send [`Command::Relax`] first.
     NotRelaxed,
     /// This firmware cannot do that.
@@ -213,7 +214,7 @@ impl<'a> Command<'a> {
     /// [`LinkError::UnknownMessage`].
     pub(super) fn parse(message: &'a [u8]) -> Result<Self, LinkError> {
         let mut reader = Reader::new(message);
-        let command = match reader.variant(12) {
+        let command = match reader.variant(13) {
             0 => Self::Hello,
             1 => Self::Play(Play {
                 action: reader.u16(),
@@ -227,15 +228,16 @@ impl<'a> Command<'a> {
             5 => Self::Wake,
             6 => Self::ClearFault,
             7 => Self::SetDials(DialSettings {
-                intensity: reader.u16(),
-                rate: reader.u16(),
-                stillness: reader.u16(),
-                variety: reader.u16(),
+                intensity_q12: reader.u16(),
+                rate_q12: reader.u16(),
+                stillness_q12: reader.u16(),
+                variety_q12: reader.u16(),
             }),
             8 => Self::LoadBegin { len_bytes: reader.u32(), crc: reader.u32() },
             9 => Self::LoadChunk { offset: reader.u32(), bytes: reader.bytes() },
             10 => Self::LoadCommit,
-            _ => Self::Query,
+            11 => Self::Query,
+            _ => Self::Idle { is_alive: reader.variant(2) == 1 },
         };
         let is_whole = !reader.is_broken() && reader.rest().is_empty();
         is_whole.then_some(command).ok_or(LinkError::UnknownMessage)

@@ -21,9 +21,10 @@ fn command(bytes: &'static [u8]) -> impl Strategy<Value = Command<'static>> {
     let play = play.prop_map(|(action, duration_ms, seed, then)| {
         Command::Play(Play { action, duration_ms, seed, then })
     });
-    let dials = any::<[u16; 4]>().prop_map(|[intensity, rate, stillness, variety]| {
-        Command::SetDials(DialSettings { intensity, rate, stillness, variety })
-    });
+    let dials =
+        any::<[u16; 4]>().prop_map(|[intensity_q12, rate_q12, stillness_q12, variety_q12]| {
+            Command::SetDials(DialSettings { intensity_q12, rate_q12, stillness_q12, variety_q12 })
+        });
     let plain = [
         Command::Hello,
         Command::Hold,
@@ -33,6 +34,7 @@ fn command(bytes: &'static [u8]) -> impl Strategy<Value = Command<'static>> {
         Command::ClearFault,
         Command::LoadCommit,
         Command::Query,
+        Command::Idle { is_alive: true },
     ];
     let load = any::<[u32; 2]>().prop_map(|[len_bytes, crc]| Command::LoadBegin { len_bytes, crc });
     let chunk = any::<u32>().prop_map(move |offset| Command::LoadChunk { offset, bytes });
@@ -40,18 +42,17 @@ fn command(bytes: &'static [u8]) -> impl Strategy<Value = Command<'static>> {
 }
 
 fn report() -> impl Strategy<Value = Report> {
-    let hello = (any::<u32>(), any::<u16>(), any::<u8>(), any::<u16>());
-    let hello = hello.prop_map(|(blob_crc, action_count, servo_count, chunk_bytes_max)| {
-        Report::Hello { blob_crc, action_count, servo_count, chunk_bytes_max }
+    let hello = (any::<[u8; 8]>(), any::<u16>(), any::<u8>(), any::<u16>());
+    let hello = hello.prop_map(|(model_hash, action_count, servo_count, chunk_bytes_max)| {
+        Report::Hello { model_hash, action_count, servo_count, chunk_bytes_max }
     });
     let refused = any::<(u16, u16)>().prop_map(|(sequence, expected)| Report::Refused {
         sequence,
         reason: Refusal::OutOfOrder { expected },
     });
-    let state = any::<(Option<u16>, u32, u8)>().prop_map(|(action, left_ms, queued)| {
-        Report::State { mode: Mode::Playing, action, left_ms, queued }
-    });
-    let fault = any::<(u16, Option<u8>)>().prop_map(|(code, servo)| Report::Fault { code, servo });
+    let state =
+        any::<Option<u16>>().prop_map(|action| Report::State { mode: Mode::Playing, action });
+    let fault = any::<u16>().prop_map(|code| Report::Fault { code });
     let pulses = prop::collection::vec(any::<u16>(), 0..=SERVOS_MAX);
     let telemetry = (any::<[u32; 3]>(), pulses).prop_map(|(counts, pulses)| {
         let [tick, interventions, broken_frames] = counts;
@@ -136,7 +137,9 @@ fn frame_that_is_cut_anywhere_is_refused_and_the_next_arrives() {
 
 #[test]
 fn message_with_something_after_it_is_refused() {
-    for message in [[2_u8, 0].as_slice(), &[12], &[], &[1, 5], &[1, 5, 1, 1, 2], &[0xFF; 12]] {
+    for message in
+        [[2_u8, 0].as_slice(), &[13], &[12, 2], &[], &[1, 5], &[1, 5, 1, 1, 2], &[0xFF; 12]]
+    {
         let frame = Frame { is_from_chip: false, sequence: 1, message };
         assert_eq!(frame.command(), Err(LinkError::UnknownMessage), "{message:?}");
     }
@@ -189,7 +192,7 @@ proptest! {
 
     #[test]
     fn message_of_noise_is_read_as_serde_reads_it(
-        mut message in prop::collection::vec(prop_oneof![any::<u8>(), 0_u8..4], 0..30), tag in 0_u8..14
+        mut message in prop::collection::vec(prop_oneof![any::<u8>(), 0_u8..4], 0..30), tag in 0_u8..15
     ) {
         if let Some(first) = message.first_mut() {
             *first = tag;
