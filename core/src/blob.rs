@@ -3,9 +3,11 @@
 //! ```text
 //! 0   magic "KRKR"         4   format version u16   6   header length u16 (32)
 //! 8   length of all u32    12  CRC-32 u32 of everything but these four bytes
-//! 16  length of the descriptions u32                20  zeros up to 32
+//! 16  length of the descriptions u32
+//! 20  version 3: length of the servos u32           24  zeros up to 32
 //! 32  descriptions: postcard of Manifest, then every Group, action name and Joint
 //! …   tensors in the order of `tensor_plan`, each at a multiple of 16 from the start, little-endian
+//! …   servos, see `servo_records.rs`
 //! ```
 //!
 //! Why here: offsets exist in this file only; writer and reader share `tensor_plan`.
@@ -17,8 +19,10 @@ use crate::manifest::{Group, Joint, Manifest, TensorKind, tensor_plan};
 
 /// First four bytes.
 pub const MAGIC: [u8; 4] = *b"KRKR";
-/// Newest format that this crate writes and reads.
-pub const VERSION: u16 = 2;
+/// Newest format that this crate writes and reads; blobs without servos are written in the one before, which is the
+/// same.
+pub const VERSION: u16 = 3;
+const VERSION_WITHOUT_SERVOS: u16 = 2;
 /// Oldest format that this crate reads: version 1 knew one order of weights, which no kernel of today reads.
 pub const VERSION_OLDEST: u16 = 2;
 /// Bytes of the header.
@@ -34,15 +38,18 @@ mod field {
     pub const LENGTH: Range<usize> = 8..12;
     pub const CRC: Range<usize> = 12..16;
     pub const DESCRIPTIONS_LENGTH: Range<usize> = 16..20;
-    pub const RESERVED: Range<usize> = 20..32;
+    pub const SERVOS_LENGTH: Range<usize> = 20..24;
+    pub const RESERVED: Range<usize> = 24..32;
 }
 
 /// The checked outside of a blob: header and descriptions, tensors still in one piece.
 pub(crate) struct Envelope<'a> {
     /// Postcard stream.
     pub descriptions: &'a [u8],
-    /// Everything, header included: tensor offsets count from the start.
+    /// Everything up to the servos, header included: tensor offsets count from the start.
     pub bytes: &'a [u8],
+    /// See `servo_records.rs`.
+    pub servos: &'a [u8],
 }
 
 impl<'a> Envelope<'a> {
@@ -69,10 +76,10 @@ impl<'a> Envelope<'a> {
         if stored != computed {
             return Err(BlobError::WrongChecksum { stored, computed });
         }
-        Self::parse_checked(bytes)
+        Self::parse_checked(bytes, version)
     }
 
-    fn parse_checked(bytes: &'a [u8]) -> Result<Self, BlobError> {
+    fn parse_checked(bytes: &'a [u8], version: u16) -> Result<Self, BlobError> {
         let bad = |field, value| BlobError::BadField { field, value };
         let header_length = u16_at(bytes, field::HEADER_LENGTH).unwrap_or(0);
         if usize::from(header_length) != HEADER_BYTES {
@@ -82,12 +89,21 @@ impl<'a> Envelope<'a> {
         {
             return Err(bad("reserved header bytes", 0));
         }
+        let servos_length = u32_at(bytes, field::SERVOS_LENGTH).unwrap_or(u32::MAX);
+        if version == VERSION_WITHOUT_SERVOS && servos_length != 0 {
+            return Err(bad("reserved header bytes", 0));
+        }
+        let (bytes, servos) = bytes
+            .len()
+            .checked_sub(servos_length as usize)
+            .and_then(|end| bytes.split_at_checked(end))
+            .ok_or(bad("bytes of servos", servos_length))?;
         let length = u32_at(bytes, field::DESCRIPTIONS_LENGTH).unwrap_or(u32::MAX);
         let descriptions = bytes
             .get(HEADER_BYTES..)
             .and_then(|rest| rest.get(..length as usize))
             .ok_or(bad("descriptions length", length))?;
-        Ok(Self { descriptions, bytes })
+        Ok(Self { descriptions, bytes, servos })
     }
 
     /// Offset of the first tensor.
@@ -192,16 +208,31 @@ impl BlobParts<'_> {
         let blob = output.get_mut(..end)?;
         let descriptions_length = (descriptions_end - HEADER_BYTES) as u32;
         blob.get_mut(field::MAGIC)?.copy_from_slice(&MAGIC);
-        blob.get_mut(field::VERSION)?.copy_from_slice(&VERSION.to_le_bytes());
+        blob.get_mut(field::VERSION)?.copy_from_slice(&VERSION_WITHOUT_SERVOS.to_le_bytes());
         blob.get_mut(field::HEADER_LENGTH)?.copy_from_slice(&(HEADER_BYTES as u16).to_le_bytes());
-        blob.get_mut(field::LENGTH)?.copy_from_slice(&(end as u32).to_le_bytes());
         blob.get_mut(field::DESCRIPTIONS_LENGTH)?
             .copy_from_slice(&descriptions_length.to_le_bytes());
+        blob.get_mut(field::SERVOS_LENGTH)?.fill(0);
         blob.get_mut(field::RESERVED)?.fill(0);
-        let crc = checksum(blob);
-        blob.get_mut(field::CRC)?.copy_from_slice(&crc.to_le_bytes());
+        seal(blob)?;
         Some(end)
     }
+}
+
+/// Writes length and checksum.
+fn seal(blob: &mut [u8]) -> Option<()> {
+    let length = blob.len() as u32;
+    blob.get_mut(field::LENGTH)?.copy_from_slice(&length.to_le_bytes());
+    let crc = checksum(blob);
+    blob.get_mut(field::CRC)?.copy_from_slice(&crc.to_le_bytes());
+    Some(())
+}
+
+/// Makes a blob whose last bytes have become its servos one of version 3.
+pub(crate) fn seal_with_servos(blob: &mut [u8], servos_bytes: usize) -> Option<()> {
+    blob.get_mut(field::VERSION)?.copy_from_slice(&VERSION.to_le_bytes());
+    blob.get_mut(field::SERVOS_LENGTH)?.copy_from_slice(&(servos_bytes as u32).to_le_bytes());
+    seal(blob)
 }
 
 fn too_small(found: usize, expected: usize) -> BlobError {

@@ -81,6 +81,13 @@ pub enum BlobError {
         /// Alignment that is needed, in bytes.
         alignment: usize,
     },
+    /// The calibration of a servo is unusable. Correct it and put it into the blob again (`host-trainer calibrate`).
+    BadServo {
+        /// Index of the servo.
+        servo: u16,
+        /// What is wrong with it.
+        error: ServoError,
+    },
     /// The workspace is narrower than the widest layer.
     WorkspaceTooSmall {
         /// Width of the workspace.
@@ -146,6 +153,7 @@ impl fmt::Display for BlobError {
                     "the blob starts {misalignment} bytes past a multiple of {alignment}: align it"
                 )
             }
+            Self::BadServo { servo, error } => write!(out, "servo {servo}: {error}"),
             Self::WorkspaceTooSmall { width, needed } => {
                 write!(out, "the workspace is {width} wide, the model needs {needed}")
             }
@@ -301,13 +309,13 @@ pub enum ServoError {
         /// Channel that drives the servo.
         channel: u16,
         /// Way from full speed to standing: speed² / 2 · acceleration.
-        braking_us: u64,
+        braking_us: u32,
         /// Way from the shortest to the longest pulse.
         span_us: u16,
     },
     /// More servos than [`SERVOS_MAX`](crate::limits::SERVOS_MAX).
     TooMany {
-        /// Servos given.
+        /// The first servo that does not fit, counted from 1.
         count: usize,
         /// Servos that fit.
         max: usize,
@@ -365,7 +373,9 @@ impl fmt::Display for ServoError {
                      its range is {span_us} us"
                 )
             }
-            Self::TooMany { count, max } => write!(out, "{count} servos, at most {max} fit"),
+            Self::TooMany { count, max } => {
+                write!(out, "servo number {count} does not fit, at most {max} do")
+            }
         }
     }
 }

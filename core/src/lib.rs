@@ -51,6 +51,7 @@ mod arc_tangent;
 mod rotation;
 mod fault;
 mod servo_map;
+pub mod servo_records;
 mod servo_limiter;
 mod goal_path;
 mod soft_start;

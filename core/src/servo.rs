@@ -76,6 +76,14 @@ impl ServoStage {
     /// # Errors
     /// [`ServoError::TooMany`].
     pub fn new(maps: &[ServoMap]) -> Result<Self, ServoError> {
+        Self::from_maps(maps.iter().copied())
+    }
+
+    /// [`new`](Self::new) from the servos of a blob: `Model::servos`.
+    ///
+    /// # Errors
+    /// [`ServoError::TooMany`].
+    pub fn from_maps(maps: impl IntoIterator<Item = ServoMap>) -> Result<Self, ServoError> {
         let mut stage = Self {
             servos: heapless::Vec::new(),
             command: ServoCommand::default(),
@@ -87,8 +95,9 @@ impl ServoStage {
             has_new_aim: false,
             aim_age_us_max: Self::AIM_AGE_US_MAX,
         };
-        let too_many = ServoError::TooMany { count: maps.len(), max: SERVOS_MAX };
-        for &map in maps {
+        for map in maps {
+            let count = stage.servos.len() + 1;
+            let too_many = ServoError::TooMany { count, max: SERVOS_MAX };
             let limiter = ServoLimiter::new(&map);
             let at = limiter.position();
             let path = GoalPath::new(at);

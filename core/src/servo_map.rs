@@ -135,6 +135,14 @@ impl ServoMap {
         Self { input: ServoInput::Twist(axis), ..self }
     }
 
+    pub(crate) const fn following(self, input: ServoInput) -> Self {
+        Self { input, ..self }
+    }
+
+    pub(crate) const fn input(&self) -> ServoInput {
+        self.input
+    }
+
     /// Channel of the pose, the first one of a rotation.
     pub const fn channel(&self) -> u16 {
         self.channel
@@ -163,6 +171,11 @@ impl ServoMap {
     /// Gain: Q15.16 µs per unit; negative is reversed.
     pub const fn pulse_us_per_unit_q16(&self) -> i32 {
         self.pulse_us_per_unit_q16
+    }
+
+    /// Channel value at the neutral pulse, Q15.16.
+    pub const fn channel_at_neutral_q16(&self) -> i32 {
+        self.channel_at_neutral_q16
     }
 
     /// Speed and acceleration.
@@ -200,6 +213,8 @@ impl ServoLimits {
         let speed = self.pulse_us_per_s_max as u64;
         let braking_us = speed * speed / (2 * self.pulse_us_per_s2_max as u64);
         if braking_us > span_us as u64 {
+            let braking_us =
+                if braking_us > u32::MAX as u64 { u32::MAX } else { braking_us as u32 };
             return Err(ServoError::CannotBrake { channel, braking_us, span_us });
         }
         Ok(())
@@ -218,7 +233,7 @@ pub(crate) const fn whole_us(pulse_q16: i32) -> u16 {
 
 /// What a servo reads at its channel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum ServoInput {
+pub(crate) enum ServoInput {
     /// The channel itself.
     Channel,
     /// The rotation that begins there, as three servos in series: the angle of the one about `axis`.
@@ -228,6 +243,14 @@ enum ServoInput {
 }
 
 impl ServoInput {
+    /// Channels that it reads.
+    pub const fn channel_count(self) -> usize {
+        match self {
+            Self::Channel => 1,
+            Self::Angle { .. } | Self::Twist(_) => 6,
+        }
+    }
+
     /// The number to follow, or `None` where the pose has too few channels.
     fn read_q16(self, channels: &[i32]) -> Option<i32> {
         match self {

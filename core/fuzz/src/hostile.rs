@@ -63,6 +63,8 @@ fn use_everything(model: &Model<'_>) {
     for name in model.actions() {
         assert!(model.action_by_name(name).is_some());
     }
+    let servos = karakuri::ServoStage::from_maps(model.servos());
+    assert!(servos.is_ok(), "as many servos as a model may have");
     let _ = (model.multiply_accumulates_per_motion(), model.multiply_accumulates_per_pose());
     if model.workspace_width() <= WIDTH_SMALL {
         play(model, &mut Workspace::<WIDTH_SMALL>::new(), &mut PairWorkspace::new());
