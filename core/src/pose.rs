@@ -10,6 +10,13 @@ pub struct Pose {
     pub(crate) channels: heapless::Vec<i32, CHANNELS_MAX>,
 }
 
+/// Values beyond [`CHANNELS_MAX`] are dropped.
+impl FromIterator<i32> for Pose {
+    fn from_iter<Values: IntoIterator<Item = i32>>(values: Values) -> Self {
+        Self { channels: values.into_iter().take(CHANNELS_MAX).collect() }
+    }
+}
+
 impl Pose {
     /// Fraction bits of a channel value.
     pub const FRACTION_BITS: u32 = 16;

@@ -185,7 +185,7 @@ impl ServoMap {
 
     /// Pulse that a pose asks for, before any limit, in 2^-16 µs: nearest, ties up. `None` where the pose ends before
     /// the servo's channels do.
-    pub(crate) fn asked_q16(&self, pose: &Pose) -> Option<i64> {
+    pub fn asked_q16(&self, pose: &Pose) -> Option<i64> {
         let channel_q16 = self.input.read_q16(pose.channels().get(usize::from(self.channel)..)?)?;
         let from_neutral_q16 = i64::from(channel_q16) - i64::from(self.channel_at_neutral_q16);
         let offset_q32 = from_neutral_q16.saturating_mul(i64::from(self.pulse_us_per_unit_q16));

@@ -2,7 +2,9 @@
 
 pub mod bake;
 pub mod bench;
+pub mod calibrate;
 pub mod character;
+pub mod check;
 pub mod classify;
 pub mod clips;
 pub mod demo;

@@ -37,6 +37,17 @@ pub enum Error {
         #[source]
         source: std::io::Error,
     },
+    /// `check` found clips that a robot cannot do.
+    #[error(
+        "{exceeding_count} of {clip_count} clips exceed a limit of a servo; play them slower, change them, or \
+         correct the calibration"
+    )]
+    LimitsExceeded {
+        /// Clips that exceed a limit.
+        exceeding_count: usize,
+        /// Clips that were checked.
+        clip_count: usize,
+    },
     /// The user asked to stop; what was done is saved.
     #[error("interrupted; continue with: {resume}")]
     Interrupted {
@@ -82,9 +93,10 @@ impl Error {
         move |source| Self::Io { path, action, source }
     }
 
-    /// Exit code of the process: 3 bad input, 4 input/output, 5 bad blob, 130 interrupted (2 is clap's).
+    /// Exit code of the process: 1 limits exceeded, 3 bad input, 4 input/output, 5 bad blob, 130 interrupted (2 is clap's).
     pub fn exit_code(&self) -> u8 {
         match self {
+            Self::LimitsExceeded { .. } => 1,
             Self::BadInput { .. } => 3,
             Self::Io { .. } => 4,
             Self::Blob { .. } => 5,

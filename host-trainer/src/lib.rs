@@ -27,6 +27,7 @@ pub mod sampler;
 pub mod quantize;
 pub mod tune;
 pub mod reconstruct;
+pub mod calibration;
 pub mod generate;
 pub mod evaluate;
 pub mod export;

@@ -4,8 +4,8 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 use host_trainer::commands::{
-    bake, bench, character, classify, demo, evaluate, generate, inspect, inspect_clips, plan,
-    quantize, reconstruct, reproduce, samplers, train, tune,
+    bake, bench, calibrate, character, check, classify, demo, evaluate, generate, inspect,
+    inspect_clips, plan, quantize, reconstruct, reproduce, samplers, train, tune,
 };
 use host_trainer::error::Result;
 
@@ -13,7 +13,7 @@ use host_trainer::error::Result;
 #[derive(Debug, Parser)]
 #[command(version, about, arg_required_else_help = true)]
 #[command(
-    after_help = "Start with:\n  host-trainer demo\n\nExit codes: 0 done, 2 wrong flags, 3 bad input, \
+    after_help = "Start with:\n  host-trainer demo\n\nExit codes: 0 done, 1 `check` found something, 2 wrong flags, 3 bad input, \
     4 a file could not be read or written, 5 bad blob, 130 interrupted."
 )]
 struct Cli {
@@ -37,6 +37,10 @@ enum Verb {
     Tune(tune::TuneArgs),
     /// Make a blob of a run
     Quantize(quantize::QuantizeArgs),
+    /// Put the calibration of a robot's servos into a blob
+    Calibrate(calibrate::CalibrateArgs),
+    /// Say which clips a robot's servos cannot do
+    Check(check::CheckArgs),
     /// Make new motions
     Generate(generate::GenerateArgs),
     /// Make new motions as files that other software and firmware play
@@ -74,6 +78,8 @@ fn run(verb: &Verb) -> Result<()> {
         Verb::Reconstruct(args) => reconstruct::run(args),
         Verb::Tune(args) => tune::run(args),
         Verb::Quantize(args) => quantize::run(args),
+        Verb::Calibrate(args) => calibrate::run(args),
+        Verb::Check(args) => check::run(args),
         Verb::Generate(args) => generate::run(args),
         Verb::Bake(args) => bake::run(args),
         Verb::Plan(args) => plan::run(args),
