@@ -3,6 +3,7 @@
 use core::fmt;
 
 use crate::manifest::{NumberFormat, Packing};
+use crate::servo_map::ServoLimits;
 
 /// Why a blob cannot be used. After `Model::from_bytes` has succeeded only
 /// [`WorkspaceTooSmall`](Self::WorkspaceTooSmall) remains.
@@ -308,8 +309,8 @@ pub enum ServoError {
     CannotBrake {
         /// Channel that drives the servo.
         channel: u16,
-        /// Way from full speed to standing: speed² / 2 · acceleration.
-        braking_us: u32,
+        /// Speed and acceleration as given.
+        limits: ServoLimits,
         /// Way from the shortest to the longest pulse.
         span_us: u16,
     },
@@ -366,7 +367,8 @@ impl fmt::Display for ServoError {
             Self::NoAcceleration { channel } => {
                 write!(out, "the servo of channel {channel} has an acceleration limit of 0")
             }
-            Self::CannotBrake { channel, braking_us, span_us } => {
+            Self::CannotBrake { channel, limits, span_us } => {
+                let braking_us = limits.braking_us();
                 write!(
                     out,
                     "the servo of channel {channel} needs {braking_us} us to stop from full speed, \

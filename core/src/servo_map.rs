@@ -203,6 +203,13 @@ impl ServoMap {
 }
 
 impl ServoLimits {
+    /// Way from full speed to standing, whole microseconds of pulse: speed² / (2 · acceleration).
+    pub const fn braking_us(self) -> u64 {
+        let twice_acceleration = 2 * self.pulse_us_per_s2_max as u64;
+        let speed = self.pulse_us_per_s_max as u64;
+        if twice_acceleration == 0 { u64::MAX } else { speed * speed / twice_acceleration }
+    }
+
     const fn check(self, channel: u16, span_us: u16) -> Result<(), ServoError> {
         if self.pulse_us_per_s_max == 0 {
             return Err(ServoError::NoSpeed { channel });
@@ -210,12 +217,10 @@ impl ServoLimits {
         if self.pulse_us_per_s2_max == 0 {
             return Err(ServoError::NoAcceleration { channel });
         }
+        // Without a division, which every image that loads a blob would have to pay for.
         let speed = self.pulse_us_per_s_max as u64;
-        let braking_us = speed * speed / (2 * self.pulse_us_per_s2_max as u64);
-        if braking_us > span_us as u64 {
-            let braking_us =
-                if braking_us > u32::MAX as u64 { u32::MAX } else { braking_us as u32 };
-            return Err(ServoError::CannotBrake { channel, braking_us, span_us });
+        if speed * speed >= (span_us as u64 + 1) * 2 * self.pulse_us_per_s2_max as u64 {
+            return Err(ServoError::CannotBrake { channel, limits: self, span_us });
         }
         Ok(())
     }
@@ -312,7 +317,8 @@ mod tests {
     #[test]
     fn servo_that_cannot_brake_within_its_range_is_rejected() {
         let error = refusal([500, 1500, 2500], 6000, 8_990);
-        let expected = ServoError::CannotBrake { channel: 7, braking_us: 2002, span_us: 2000 };
+        let limits = ServoLimits { pulse_us_per_s_max: 6000, pulse_us_per_s2_max: 8_990 };
+        let expected = ServoError::CannotBrake { channel: 7, limits, span_us: 2000 };
         assert_eq!(error, expected);
         assert!(error.to_string().contains("2002 us to stop"), "{error}");
         let limits = ServoLimits { pulse_us_per_s_max: 6000, pulse_us_per_s2_max: 9_000 };

@@ -72,6 +72,7 @@ pub(crate) struct ServoRecords<'a> {
 
 impl<'a> ServoRecords<'a> {
     /// Checks every record; poses have `channel_count` channels.
+    #[inline(never)]
     pub fn load(bytes: &'a [u8], channel_count: usize) -> Result<Self, BlobError> {
         let loaded = Self { bytes };
         if bytes.is_empty() {

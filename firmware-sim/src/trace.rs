@@ -10,7 +10,7 @@ mod calibration;
 mod summary;
 
 use karakuri::{
-    ActionId, Code, Decoder, FramePosition, Model, Pcg32, Pose, ServoCommand, ServoStage,
+    ActionId, Code, Decoder, FramePosition, Model, Pcg32, Pose, ServoCommand, ServoMap, ServoStage,
 };
 use serde::Serialize;
 
@@ -37,13 +37,28 @@ pub struct Options {
     pub clamp: bool,
     /// Commands per second.
     pub tick_hz: u32,
-    /// Pulse width per degree of an angle, or per unit of any other channel; negative reverses all
+    /// Drive stand-ins although the blob has servos of its own; true where it has none.
+    pub stand_in: bool,
+    /// Stand-ins: pulse width per degree of an angle, or per unit of any other channel; negative reverses all
     /// servos. Channels that are pulse widths are taken as they are.
     pub us_per_unit: f64,
-    /// Speed limit of every servo.
+    /// Speed limit of every stand-in.
     pub us_per_s_max: u32,
-    /// Acceleration limit of every servo.
+    /// Acceleration limit of every stand-in.
     pub us_per_s2_max: u32,
+}
+
+impl Options {
+    /// Which servos are driven, for people.
+    pub fn servos(&self) -> String {
+        let Self { us_per_unit, us_per_s_max, us_per_s2_max, .. } = self;
+        match self.stand_in {
+            true => {
+                format!("{us_per_unit} us per unit, {us_per_s_max} us/s, {us_per_s2_max} us/s2")
+            }
+            false => "servos as calibrated in the blob".to_owned(),
+        }
+    }
 }
 
 /// A motion as a list of commands.
@@ -55,6 +70,8 @@ pub struct Trace {
     pub provenance: String,
     /// Names of the servos, in the order of every command.
     pub servos: Vec<String>,
+    /// Their calibration.
+    pub maps: Vec<ServoMap>,
     /// First to last; at time 0 the servos have come softly from the park pose to the first pose.
     pub ticks: Vec<Tick>,
 }
@@ -74,7 +91,12 @@ pub struct Tick {
 /// [`Error::BadInput`]: an unknown action, a length outside training, a model without scalar
 /// channels or with too many, numbers beyond what a servo's calibration can hold.
 pub fn trace(model: &Model<'_>, options: &Options) -> Result<Trace> {
-    let (servos, maps) = calibration::servos(model.groups(), options)?;
+    let own = calibration::own_servos(model).filter(|_| !options.stand_in);
+    let stand_in = own.is_none();
+    let (servos, maps) = match own {
+        Some(servos) => servos,
+        None => calibration::stand_ins(model.groups(), options)?,
+    };
     let mut stage = ServoStage::new(&maps).map_err(|error| {
         Error::bad_input("model", "scalar channels", error, "servos that fit", "train on fewer")
     })?;
@@ -96,8 +118,8 @@ pub fn trace(model: &Model<'_>, options: &Options) -> Result<Trace> {
         last_us = time_us;
     }
     let seconds = f64::from(frames) * 1000.0 / f64::from(model.rate_millihz());
-    let options = Options { seconds, ..options.clone() };
-    Ok(Trace { options, provenance: provenance(model), servos, ticks })
+    let options = Options { seconds, stand_in, ..options.clone() };
+    Ok(Trace { options, provenance: provenance(model), servos, maps, ticks })
 }
 
 /// From the park pose to `pose`, in ticks of their own; with time left for slow servos.
@@ -192,21 +214,12 @@ impl Trace {
     /// [`Error::Io`] if the memory for it is refused.
     pub fn csv(&self) -> Result<Vec<u8>> {
         let one_line = |text: &str| text.replace(['\r', '\n'], " ");
-        let Options {
-            action,
-            seconds,
-            seed,
-            tick_hz,
-            us_per_unit,
-            us_per_s_max,
-            us_per_s2_max,
-            ..
-        } = &self.options;
+        let Options { action, seconds, seed, tick_hz, .. } = &self.options;
         let comments = format!(
-            "# {}\n# action {}, {seconds} s, seed {seed}, {tick_hz} Hz, {us_per_unit} us per unit, \
-             {us_per_s_max} us/s, {us_per_s2_max} us/s2\n",
+            "# {}\n# action {}, {seconds} s, seed {seed}, {tick_hz} Hz, {}\n",
             one_line(&self.provenance),
-            one_line(action)
+            one_line(action),
+            self.options.servos()
         );
         let mut table = csv::Writer::from_writer(comments.into_bytes());
         let header = self.servos.iter().map(|name| format!("{name}_us"));
@@ -234,6 +247,7 @@ pub(crate) mod tests {
             seed: 7,
             clamp: false,
             tick_hz: TICK_HZ,
+            stand_in: false,
             us_per_unit: US_PER_UNIT,
             us_per_s_max: US_PER_S_MAX,
             us_per_s2_max: US_PER_S2_MAX,

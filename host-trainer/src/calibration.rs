@@ -214,3 +214,164 @@ pub fn layout_of(model: &Model<'_>) -> PoseLayout {
     });
     PoseLayout { groups: groups.collect() }
 }
+
+#[cfg(test)]
+mod tests {
+    use karakuri::{Axis, AxisOrder, ServoLimits};
+
+    use super::*;
+    use crate::layout::Unit;
+
+    const JAW: &str = "[[servo]]\nchannel = \"jaw\"\noutput = 3\nmin_us = 1000\nneutral_us = 1400\n\
+        max_us = 2000\nus_per_degree = 10\nspeed_us_per_s = 2000\nacceleration_us_per_s2 = 20000\n";
+
+    fn group(name: &str, kind: GroupKind, unit: Unit) -> Group {
+        Group { name: name.to_owned(), kind, unit }
+    }
+
+    fn layout() -> PoseLayout {
+        let root = group("root", GroupKind::Translation, Unit::Metre);
+        let head = group("head", GroupKind::Rotation6d, Unit::One);
+        let groups = vec![root, group("jaw", GroupKind::Scalar, Unit::Degree), head];
+        PoseLayout { groups }
+    }
+
+    fn servos(text: &str) -> Result<Vec<Servo>> {
+        Calibration::parse(text, Path::new("robot.toml"))?.servos(&layout())
+    }
+
+    /// The text with one line's key set otherwise, or added.
+    fn with(key: &str, value: &str) -> String {
+        let line = format!("{key} = {value}");
+        let is_key = |line: &&str| line.split(" = ").next() == Some(key);
+        match JAW.lines().find(is_key) {
+            Some(old) => JAW.replacen(old, &line, 1),
+            None => format!("{JAW}{line}\n"),
+        }
+    }
+
+    fn assert_refused(text: &str, says: &[&str]) {
+        let error = servos(text).expect_err(text);
+        assert_eq!(error.exit_code(), 3);
+        let message = error.to_string();
+        assert!(message.starts_with("robot.toml: "), "{message}");
+        assert!(says.iter().all(|part| message.contains(part)), "{message} lacks one of {says:?}");
+    }
+
+    #[test]
+    fn calibration_with_swapped_limits_is_refused() {
+        assert_refused(&with("min_us", "2100"), &["servo jaw", "2100, 1400 and 2000", "swap"]);
+        assert_refused(&with("neutral_us", "900"), &["servo jaw", "rising order"]);
+    }
+
+    #[test]
+    fn calibration_with_impossible_pulses_is_refused() {
+        for value in ["0", "20001", "-5", "70000"] {
+            assert_refused(&with("max_us", value), &["servo jaw, max_us", value, "1 to 20000"]);
+        }
+        let one = JAW.replace("min_us = 1000", "min_us = 1400").replace("= 2000\nus", "= 1400\nus");
+        assert_refused(&one, &["servo jaw, min_us and max_us is 1400", "a span"]);
+        assert_refused(&with("park_us", "2001"), &["servo jaw, park_us is 2001", "1000 to 2000"]);
+        assert_refused(&with("trim_us", "-401"), &["servo jaw, trim_us is -401", "1000 to 2000"]);
+    }
+
+    #[test]
+    fn calibration_with_limits_that_cannot_move_or_brake_is_refused() {
+        assert_refused(&with("speed_us_per_s", "0"), &["servo jaw, speed_us_per_s is 0"]);
+        assert_refused(&with("speed_us_per_s", "nan"), &["servo jaw, speed_us_per_s is NaN"]);
+        let acceleration = "acceleration_us_per_s2";
+        assert_refused(&with(acceleration, "-1"), &["servo jaw", acceleration, "at least 1"]);
+        assert_refused(&with(acceleration, "1990"), &["servo jaw", "1005 us to stop", "1000 us"]);
+        assert_refused(&with("speed_deg_per_s", "9"), &["servo jaw", "given twice"]);
+        let without = JAW.replace("speed_us_per_s = 2000\n", "");
+        assert_refused(&without, &["speed_us_per_s is missing", "speed_deg_per_s"]);
+    }
+
+    #[test]
+    fn calibration_without_a_gain_that_fits_is_refused() {
+        for value in ["0", "-10", "1e9", "inf"] {
+            assert_refused(&with("us_per_degree", value), &["servo jaw, us_per_degree", "reverse"]);
+        }
+        assert_refused(&with("us_per_unit", "1"), &["servo jaw", "given twice"]);
+        assert_refused(&JAW.replace("us_per_degree = 10\n", ""), &["us_per_degree is missing"]);
+    }
+
+    #[test]
+    fn missing_unknown_and_repeated_servos_are_refused() {
+        assert_refused(&JAW.replace("jaw", "chin"), &["channel is chin", "root, jaw, head"]);
+        assert_refused("servo = []", &["number of servos is 0", "1 to 32"]);
+        let head = JAW.replace("\"jaw\"\noutput = 3", "\"head\"\naxis = \"y\"\noutput = 4");
+        assert_refused(&head, &["servo of channel jaw is missing", "undriven = [\"jaw\"]"]);
+        assert_refused(&format!("{JAW}{JAW}"), &["channel is jaw", "once"]);
+        assert_refused(&format!("{JAW}{}", head.replace("= 4", "= 3")), &["output is 3", "once"]);
+        assert_refused(&format!("undriven = [\"jaw\"]\n{JAW}"), &["undriven is jaw"]);
+        assert_refused(&format!("undriven = [\"ear\"]\n{JAW}"), &["channel is ear"]);
+        assert_refused(&with("output", "256"), &["servo jaw, output is 256", "0 to 255"]);
+    }
+
+    #[test]
+    fn servo_of_what_no_servo_can_follow_is_refused() {
+        assert_refused(&JAW.replace("jaw", "root"), &["servo root, channel is translation"]);
+        assert_refused(&JAW.replace("jaw", "head"), &["servo head, axis is missing"]);
+        assert_refused(&with("axis", "\"x\""), &["servo jaw, axis is given"]);
+        let head = JAW.replace("\"jaw\"", "\"head\"\naxis = \"w\"");
+        assert_refused(&head, &["servo head, axis is w"]);
+        let head = JAW.replace("\"jaw\"", "\"head\"\naxis = \"x\"\norder = \"xxy\"");
+        assert_refused(&head, &["servo head, order is xxy", "zyx"]);
+    }
+
+    #[test]
+    fn what_is_no_calibration_is_refused() {
+        for text in ["", "servo", "[[servo]]", &with("color", "1"), &with("reverse", "1")] {
+            assert_refused(text, &["the calibration is"]);
+        }
+        let board = format!("[pca9685]\noscillator_hz = 0\n{JAW}");
+        assert_refused(&board, &["pca9685.oscillator_hz is 0"]);
+    }
+
+    #[test]
+    fn servos_are_what_the_file_says() {
+        let head = "[[servo]]\nchannel = \"head\"\naxis = \"y\"\norder = \"zxy\"\nmin_us = 500\n\
+            neutral_us = 1500\nmax_us = 2500\nus_per_degree = 8\nreverse = true\ntrim_us = -12\n\
+            park_us = 1600\nspeed_deg_per_s = 300\nacceleration_deg_per_s2 = 3000\n";
+        let found = servos(&format!("{JAW}{head}")).unwrap();
+        let limits = |speed, acceleration| ServoLimits {
+            pulse_us_per_s_max: speed,
+            pulse_us_per_s2_max: acceleration,
+        };
+        let jaw = ServoMap::new(3, [1000, 1400, 2000], 10 << 16, limits(2000, 20_000)).unwrap();
+        let turn = ServoMap::new(4, [500, 1500, 2500], -(8 << 16), limits(2400, 24_000)).unwrap();
+        let turn = turn.with_park_at(1600).unwrap().with_trim(-12).unwrap().on_output(1);
+        let expected = [
+            Servo { name: "jaw".to_owned(), map: jaw.on_output(3) },
+            Servo { name: "head_y".to_owned(), map: turn.following_angle(AxisOrder::Zxy, Axis::Y) },
+        ];
+        assert_eq!(found, expected);
+    }
+
+    #[test]
+    fn pulses_and_radians_are_read_in_their_own_unit() {
+        let groups = vec![
+            group("lid", GroupKind::Scalar, Unit::Microsecond),
+            group("jaw", GroupKind::Scalar, Unit::Radian),
+        ];
+        let lid = JAW.replace("jaw", "lid").replace("us_per_degree = 10\noutput = 3", "");
+        let lid = lid.replace("us_per_degree = 10\n", "").replace("output = 3\n", "output = 0\n");
+        let calibration =
+            Calibration::parse(&format!("{lid}{JAW}"), Path::new("robot.toml")).unwrap();
+        let servos = calibration.servos(&PoseLayout { groups }).unwrap();
+        let [lid, jaw] = &servos[..] else { panic!("{servos:?}") };
+        assert_eq!(lid.map.pulse_us_per_unit_q16(), 1 << 16);
+        assert_eq!(lid.map.channel_at_neutral_q16(), 1400 << 16);
+        // 10 · 180/π · 2^16 = 37,549,361.7…
+        assert_eq!(jaw.map.pulse_us_per_unit_q16(), 37_549_362);
+    }
+
+    #[test]
+    fn template_is_a_calibration() {
+        let text = template::template(&layout());
+        let servos = servos(&text).unwrap();
+        let names: Vec<&str> = servos.iter().map(|servo| servo.name.as_str()).collect();
+        assert_eq!(names, ["jaw", "head_z", "head_y", "head_x"]);
+    }
+}

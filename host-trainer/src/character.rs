@@ -23,6 +23,7 @@ mod follow_through;
 
 use std::path::PathBuf;
 
+use crate::calibration::Calibration;
 use crate::clip::{Clip, ClipSet};
 
 use actions::{ACTIONS, Action};
@@ -32,6 +33,15 @@ pub use joint::{JOINT_COUNT, Joint, JointSpec};
 
 /// The character's name, 茶子, "tea child".
 pub const NAME: &str = "Chako";
+
+/// Its servos, a hobby servo for every joint: what `demo` puts into its blobs, and an example of a calibration file.
+pub const CALIBRATION: &str = include_str!("../calibrations/chako.toml");
+
+/// [`CALIBRATION`], read.
+pub fn calibration() -> Calibration {
+    let source = std::path::Path::new("the built-in calibration");
+    Calibration::parse(CALIBRATION, source).unwrap_or_else(|error| unreachable!("{error}"))
+}
 
 /// Raised whenever the same seed would give other clips.
 pub const GENERATOR_VERSION: u32 = 1;

@@ -33,14 +33,17 @@ pub struct TraceArgs {
     #[arg(long, value_name = "HZ", default_value_t = TICK_HZ,
           value_parser = clap::value_parser!(u32).range(10..=1000))]
     tick_hz: u32,
-    /// Pulse width per degree (of radians too), or per unit of any other channel; negative reverses
+    /// Drive stand-ins even where the blob has servos of its own
+    #[arg(long)]
+    stand_in: bool,
+    /// Stand-ins: pulse width per degree (of radians too), or per unit of any other channel; negative reverses
     #[arg(long, value_name = "US", default_value_t = US_PER_UNIT, allow_negative_numbers = true)]
     us_per_unit: f64,
-    /// Speed limit of every servo, in microseconds of pulse width per second
+    /// Stand-ins: speed limit, in microseconds of pulse width per second
     #[arg(long, value_name = "US", default_value_t = US_PER_S_MAX,
           value_parser = clap::value_parser!(u32).range(1..))]
     speed_us_per_s: u32,
-    /// Acceleration limit of every servo, in microseconds of pulse width per second squared
+    /// Stand-ins: acceleration limit, in microseconds of pulse width per second squared
     #[arg(long, value_name = "US", default_value_t = US_PER_S2_MAX,
           value_parser = clap::value_parser!(u32).range(1..))]
     acceleration_us_per_s2: u32,
@@ -55,7 +58,8 @@ pub struct TraceArgs {
     json: bool,
 }
 
-const CALIBRATION: &str = "Every scalar channel drives a servo of 500 to 2500 us about 1500 us. \
+const CALIBRATION: &str = "Servos are those that the blob is calibrated for; without any, \
+    every scalar channel drives a stand-in of 500 to 2500 us about 1500 us. \
     Limits of range, speed and acceleration are core's; nothing here proves safety.\n\nExample:\n  \
     firmware-sim trace creature.kara --action nod --seconds 2.4 --seed 7 --out nod.csv";
 
@@ -67,6 +71,7 @@ impl TraceArgs {
             seed: self.seed,
             clamp: self.clamp,
             tick_hz: self.tick_hz,
+            stand_in: self.stand_in,
             us_per_unit: self.us_per_unit,
             us_per_s_max: self.speed_us_per_s,
             us_per_s2_max: self.acceleration_us_per_s2,
@@ -104,14 +109,14 @@ fn table(summary: &Summary) -> String {
     let names = summary.servos.iter().map(|servo| servo.name.chars().count());
     let width = names.chain(["servo".len()]).max().unwrap_or_default();
     let mut text = format!(
-        "{}, {} s, seed {}: {} commands at {} Hz, at most {} us/s\n\n\
+        "{}, {} s, seed {}: {} commands at {} Hz, {}\n\n\
          {:<width$}  {:>6}  {:>6}  {:>10}  {:>13}  {:>13}  {:>20}\n",
         options.action,
         options.seconds,
         options.seed,
         summary.tick_count,
         options.tick_hz,
-        options.us_per_s_max,
+        options.servos(),
         "servo",
         "min us",
         "max us",
@@ -243,7 +248,7 @@ mod tests {
     }
 
     const SUMMARY: &str = "\
-write, 1.2 s, seed 7: 60 commands at 50 Hz, at most 6000 us/s
+write, 1.2 s, seed 7: 60 commands at 50 Hz, -9000 us per unit, 6000 us/s, 60000 us/s2
 
 servo  min us  max us    max us/s  range-limited  speed-limited  acceleration-limited
 neck      500    2500        6000         39.0 %         16.9 %                47.5 %

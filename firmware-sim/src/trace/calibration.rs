@@ -1,14 +1,14 @@
-//! The servos of a trace: one for every scalar channel, all calibrated alike.
+//! The servos of a trace: those of the blob, or one for every scalar channel, all calibrated alike.
 //!
-//! In:  the model's groups, [`Options`].
+//! In:  the model, [`Options`].
 //! Out: names and [`ServoMap`]s to `trace.rs`.
 //!
-//! Why here: a blob says what its channels mean, not how a robot is built; until a robot is
-//! measured these stand in.
+//! Why here: until a robot is measured, a blob says what its channels mean, not how the robot is
+//! built; until then the second kind stands in.
 
 use karakuri::limits::SERVOS_MAX;
 use karakuri::manifest::Group;
-use karakuri::{GroupKind, Pose, ServoError, ServoLimits, ServoMap, Unit};
+use karakuri::{GroupKind, Model, Pose, ServoError, ServoLimits, ServoMap, Unit};
 
 use super::Options;
 use crate::error::{Error, Result};
@@ -24,8 +24,28 @@ pub const US_PER_S_MAX: u32 = 6000;
 /// Default acceleration limit: full speed in 0.1 s.
 pub const US_PER_S2_MAX: u32 = 60_000;
 
+/// The blob's own servos, `None` where it has none; named by their groups.
+pub fn own_servos(model: &Model<'_>) -> Option<(Vec<String>, Vec<ServoMap>)> {
+    let maps: Vec<ServoMap> = model.servos().collect();
+    let mut names: Vec<String> = Vec::new();
+    for map in &maps {
+        let mut end = 0;
+        let group = model.groups().find(|group| {
+            end += group.kind.channel_count();
+            usize::from(map.channel()) < end
+        });
+        let group = group.map_or_else(String::new, |group| group.name.to_owned());
+        // Three servos of one rotation share its name.
+        let is_taken = |name: &String| *name == group;
+        let name =
+            if names.iter().any(is_taken) { format!("{group}_{}", map.output()) } else { group };
+        names.push(name);
+    }
+    (!maps.is_empty()).then_some((names, maps))
+}
+
 /// Every scalar channel's name and calibration.
-pub fn servos<'g>(
+pub fn stand_ins<'g>(
     groups: impl Iterator<Item = Group<'g>>,
     options: &Options,
 ) -> Result<(Vec<String>, Vec<ServoMap>)> {
@@ -93,6 +113,7 @@ fn refused(error: ServoError) -> Error {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::fixture::Fixture;
     use crate::trace::tests::options;
 
     fn group(name: &str, kind: GroupKind, unit: Unit) -> Group<'_> {
@@ -105,7 +126,7 @@ mod tests {
             group("root", GroupKind::Translation, Unit::Metre),
             group("head", GroupKind::Rotation6d, Unit::One),
         ];
-        let error = servos(groups.into_iter(), &options()).unwrap_err();
+        let error = stand_ins(groups.into_iter(), &options()).unwrap_err();
         assert_eq!(error.exit_code(), 3);
         assert!(error.to_string().contains("number of scalar channels is 0"), "{error}");
     }
@@ -134,6 +155,24 @@ mod tests {
     }
 
     #[test]
+    fn servos_of_the_blob_are_taken_with_their_names() {
+        let plain = Fixture::new(1).blob(karakuri::NumberFormat::W8A16);
+        assert!(own_servos(&Model::from_bytes(&plain).unwrap()).is_none());
+        let limits = ServoLimits { pulse_us_per_s_max: 3000, pulse_us_per_s2_max: 30_000 };
+        let neck = ServoMap::new(0, [600, 1400, 2200], -9 << 16, limits).unwrap();
+        let servos = [neck.on_output(4), neck.on_output(5)];
+        let mut blob = vec![0; plain.len() + 100];
+        let length =
+            karakuri::servo_records::with_servos(&plain, &servos, 25_000_000, &mut blob).unwrap();
+        let model = Model::from_bytes(&blob[..length]).unwrap();
+        let names = vec!["neck".to_owned(), "neck_5".to_owned()];
+        assert_eq!(own_servos(&model), Some((names, servos.to_vec())));
+        let trace = crate::trace(&model, &options()).unwrap();
+        assert!(!trace.options.stand_in);
+        assert!(trace.csv().unwrap().starts_with(b"# fixture"));
+    }
+
+    #[test]
     fn angles_are_converted_and_pulse_widths_taken_as_they_are() {
         let groups = [
             group("jaw", GroupKind::Scalar, Unit::Degree),
@@ -141,7 +180,7 @@ mod tests {
             group("neck", GroupKind::Scalar, Unit::Radian),
             group("lid", GroupKind::Scalar, Unit::Microsecond),
         ];
-        let (names, maps) = servos(groups.into_iter(), &options()).unwrap();
+        let (names, maps) = stand_ins(groups.into_iter(), &options()).unwrap();
         assert_eq!(names, ["jaw", "neck", "lid"]);
         let limits =
             ServoLimits { pulse_us_per_s_max: US_PER_S_MAX, pulse_us_per_s2_max: US_PER_S2_MAX };

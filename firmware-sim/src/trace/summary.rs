@@ -4,7 +4,7 @@
 use karakuri::ServoCommand;
 use serde::Serialize;
 
-use super::{Options, PULSES_US, Tick, Trace};
+use super::{Options, Tick, Trace};
 
 /// A trace in a few numbers.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -16,8 +16,6 @@ pub struct Summary {
     pub options: Options,
     /// Number of commands.
     pub tick_count: usize,
-    /// Shortest, neutral and longest pulse that every servo may have.
-    pub pulses_us: [u16; 3],
     /// One for every servo.
     pub servos: Vec<ServoSummary>,
 }
@@ -27,6 +25,8 @@ pub struct Summary {
 pub struct ServoSummary {
     /// Name of its channel.
     pub name: String,
+    /// Shortest, neutral and longest pulse that it may have.
+    pub pulses_us: [u16; 3],
     /// Shortest pulse.
     pub pulse_us_min: u16,
     /// Longest pulse.
@@ -50,7 +50,6 @@ impl Trace {
             provenance: self.provenance.clone(),
             options: self.options.clone(),
             tick_count: self.ticks.len(),
-            pulses_us: PULSES_US,
             servos: servos.map(|(servo, name)| self.servo_summary(servo, name)).collect(),
         }
     }
@@ -70,6 +69,7 @@ impl Trace {
         };
         ServoSummary {
             name: name.to_owned(),
+            pulses_us: self.maps.get(servo).map_or([0; 3], |map| map.pulses_us()),
             pulse_us_min: pulses_us().min().unwrap_or_default(),
             pulse_us_max: pulses_us().max().unwrap_or_default(),
             us_per_s_max: speeds_us_per_s.fold(0.0, f64::max),

@@ -188,6 +188,15 @@ mod tests {
     }
 
     #[test]
+    fn built_in_character_stays_within_its_own_servos() {
+        let clip_set = crate::character::clip_set(7, 4);
+        let servos = crate::character::calibration().servos(&clip_set.layout).unwrap();
+        for clip in check(&clip_set, &servos) {
+            assert!(clip.excesses.is_empty() && clip.rate_max >= Some(1.0), "{clip:?}");
+        }
+    }
+
+    #[test]
     fn clip_beyond_the_range_is_named_with_its_worst_place_and_no_rate() {
         let found = checked(&[48.0, 50.5, 53.0, 52.0]);
         assert_eq!(found.rate_max, None);

@@ -263,7 +263,8 @@ impl Place<'_> {
                 let expected = format!("neutral_us and trim_us together in {min} to {max}");
                 self.bad("trim_us", trim_us, expected, "mount the horn closer to its middle")
             }
-            ServoError::CannotBrake { braking_us, span_us, .. } => {
+            ServoError::CannotBrake { limits, span_us, .. } => {
+                let braking_us = limits.braking_us();
                 let found = format!("too small: from full speed it takes {braking_us} us to stop");
                 let expected = format!("at most the {span_us} us of its range");
                 self.bad("acceleration", found, expected, "allow more acceleration or less speed")

@@ -128,3 +128,25 @@ pub fn layout() -> PoseLayout {
     };
     PoseLayout { groups: Joint::ALL.iter().map(group).collect() }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Two files say where the puppet ends: they must say the same.
+    #[test]
+    fn calibration_has_the_ranges_and_rests_of_the_joints() {
+        let servos = crate::character::calibration().servos(&layout()).unwrap();
+        assert_eq!(servos.len(), JOINT_COUNT);
+        for (servo, joint) in servos.iter().zip(Joint::ALL) {
+            let spec = joint.spec();
+            let gain = f64::from(servo.map.pulse_us_per_unit_q16()) / 65_536.0;
+            let degrees = |pulse_us: u16| (f64::from(pulse_us) - 1500.0) / gain;
+            let [min_us, _, max_us] = servo.map.pulses_us();
+            let mut ends_deg = [degrees(min_us), degrees(max_us)];
+            ends_deg.sort_by(f64::total_cmp);
+            assert_eq!((servo.name.as_str(), ends_deg), (spec.name, [spec.min_deg, spec.max_deg]));
+            assert_eq!(degrees(servo.map.pulse_us_park()), spec.rest_deg);
+        }
+    }
+}

@@ -85,6 +85,9 @@ pub fn run(args: &DemoArgs) -> Result<()> {
     let mixtures = mixture::file::of_checkpoint(&run, &checkpoint)?;
 
     eprintln!("4/6  quantising");
+    let calibration = character::calibration();
+    let text = character::CALIBRATION.as_bytes();
+    atomic_file::write(&args.out.join("calibration.toml"), text, Overwrite::Replace)?;
     let mut products = Vec::new();
     for format in NumberFormat::ALL {
         let name = character::NAME.to_lowercase();
@@ -95,10 +98,11 @@ pub fn run(args: &DemoArgs) -> Result<()> {
             &mixtures,
             &QuantizeOptions::new(format),
         )?;
-        atomic_file::write(&path, &quantized.blob, Overwrite::Replace)?;
-        let model = load(&path, &quantized.blob)?;
+        let blob = calibration.put_into(&path, &quantized.blob)?;
+        atomic_file::write(&path, &blob, Overwrite::Replace)?;
+        let model = load(&path, &blob)?;
         let error = scalar_error(&checkpoint, Source::Blob(&model), &dataset);
-        products.push(Product { report: BlobReport::new(&path, &quantized.blob)?, path, error });
+        products.push(Product { report: BlobReport::new(&path, &blob)?, path, error });
     }
 
     eprintln!("5/6  new motions, decoded in the device's arithmetic");

@@ -5,8 +5,10 @@ use std::path::PathBuf;
 use indicatif::{ProgressBar, ProgressStyle};
 use karakuri::NumberFormat;
 use karakuri::manifest::{Packing, Provenance};
+use karakuri::servo_records::servos_bytes;
 
 use crate::atomic_file::{self, Overwrite};
+use crate::calibration::Calibration;
 use crate::checkpoint::{Checkpoint, Tuning};
 use crate::commands::sampler_args::{ClipArgs, SamplerArg};
 use crate::error::Result;
@@ -49,6 +51,9 @@ pub struct QuantizeArgs {
     /// error and prints the trade-off curve. Activations have 8 bits.
     #[arg(long, value_name = "SIZE", value_parser = parse_size, conflicts_with = "format")]
     pub flash: Option<usize>,
+    /// Calibration of a robot's servos, to become part of the blob.
+    #[arg(long, value_name = "FILE.toml")]
+    pub calibration: Option<PathBuf>,
     /// Replace an existing file.
     #[arg(long)]
     pub force: bool,
@@ -115,11 +120,21 @@ pub fn run(args: &QuantizeArgs) -> Result<()> {
     let overwrite = Overwrite::from_force(args.force);
     atomic_file::check(&args.out, overwrite)?;
     let checkpoint = Checkpoint::load(&args.run)?;
+    let calibration = args.calibration.as_deref().map(Calibration::read).transpose()?;
+    // Refused before the work that it would cost.
+    let servo_count = match &calibration {
+        Some(calibration) => calibration.servos(&checkpoint.dataset.layout)?.len(),
+        None => 0,
+    };
     let mixtures = mixture::file::of_checkpoint(&args.run, &checkpoint)?;
     let name = args.run.file_name().map_or_else(|| "model".into(), |name| name.to_string_lossy());
     let (quantized, flash_budget) = match args.flash {
         None => (quantize_checkpoint(&name, &checkpoint, &mixtures, &args.options())?, None),
         Some(bytes_max) => {
+            let bytes_max = match servo_count {
+                0 => bytes_max,
+                count => bytes_max.saturating_sub(servos_bytes(count)),
+            };
             if let Some(tuning) = &checkpoint.state.tuning {
                 let format = &tuning.format;
                 eprintln!(
@@ -132,8 +147,12 @@ pub fn run(args: &QuantizeArgs) -> Result<()> {
             (within.0, Some(within.1))
         }
     };
-    atomic_file::write(&args.out, &quantized.blob, overwrite)?;
-    let blob = BlobReport::new(&args.out, &quantized.blob)?;
+    let blob = match &calibration {
+        Some(calibration) => calibration.put_into(&args.out, &quantized.blob)?,
+        None => quantized.blob,
+    };
+    atomic_file::write(&args.out, &blob, overwrite)?;
+    let blob = BlobReport::new(&args.out, &blob)?;
     if args.json {
         print_json(&Report { blob, flash_budget })?;
     } else {

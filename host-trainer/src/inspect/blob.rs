@@ -7,6 +7,7 @@ use std::fmt;
 use std::path::Path;
 
 use karakuri::manifest::tensor_plan;
+use karakuri::servo_records::servos_bytes;
 use karakuri::{ActionId, Model};
 use serde::Serialize;
 
@@ -36,6 +37,8 @@ pub struct BlobReport {
     pub interval_count: u16,
     /// Numbers of β and of α.
     pub code_counts: (u16, u16),
+    /// Servos that it is calibrated for.
+    pub servo_count: usize,
     /// Bytes by part; their sum is `bytes`.
     pub parts: Vec<PartReport>,
     /// Length of the file.
@@ -103,6 +106,7 @@ impl BlobReport {
             component_count: manifest.sampler.component_count,
             interval_count: manifest.sampler.interval_count,
             code_counts: (manifest.sequence_code_count, manifest.action_code_count),
+            servo_count: model.servos().count(),
             parts: parts_of(&model, blob.len()),
             bytes: blob.len(),
             ram_bytes: ram_bytes(&model),
@@ -161,6 +165,10 @@ fn parts_of(model: &Model<'_>, bytes: usize) -> Vec<PartReport> {
             None => parts.push(PartReport { part: kind.part(), bytes: length }),
         }
     }
+    let servo_count = model.servos().count();
+    if servo_count > 0 {
+        parts.push(PartReport { part: "servos", bytes: servos_bytes(servo_count) as u64 });
+    }
     let rest = bytes as u64 - parts.iter().map(|report| report.bytes).sum::<u64>();
     parts.push(PartReport { part: "header, names, alignment", bytes: rest });
     parts
@@ -199,6 +207,9 @@ impl fmt::Display for BlobReport {
             thousands(self.multiply_accumulates_per_pose),
             thousands(self.multiply_accumulates_per_motion)
         )?;
+        if self.servo_count > 0 {
+            writeln!(out, "servos      {}, calibrated", self.servo_count)?;
+        }
         writeln!(out, "RAM         {} bytes\n", thousands(self.ram_bytes as u64))?;
         let mut actions = Table::new(["action", "shortest s", "longest s"]);
         for action in &self.actions {
