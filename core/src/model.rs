@@ -19,7 +19,6 @@ use crate::manifest::{
 };
 use crate::manifest_check;
 use crate::sampler::Sampler;
-use crate::servo_map::ServoMap;
 use crate::servo_records::ServoRecords;
 use crate::time_embedding::FramePosition;
 
@@ -39,7 +38,7 @@ pub struct Model<'a> {
     pub(crate) sampler: Sampler<'a>,
     /// Code half of layer 1, time half of layer 1, then the others: what begins with the layer's weights.
     layers: heapless::Vec<&'a [u8], LAYERS_MAX>,
-    servos: ServoRecords<'a>,
+    pub(crate) servos: ServoRecords<'a>,
     /// Largest magnitude that the products of a row of the time half can reach together.
     time_products_max: i32,
 }
@@ -235,17 +234,6 @@ impl<'a> Model<'a> {
         let mut names = self.names_after_groups();
         (0..self.manifest.action_count).for_each(|_| _ = names.text());
         (0..self.manifest.joint_count).map(move |_| names.joint())
-    }
-
-    /// Calibration of the robot's servos; none where the blob was not calibrated. For
-    /// [`ServoStage::from_maps`](crate::ServoStage::from_maps).
-    pub fn servos(&self) -> impl Iterator<Item = ServoMap> + use<'a> {
-        self.servos.servos()
-    }
-
-    /// Frequency of the oscillator of the robot's PCA9685, 25 MHz where the blob was not calibrated.
-    pub fn pca9685_oscillator_hz(&self) -> u32 {
-        self.servos.oscillator_hz()
     }
 
     fn names_after_groups(&self) -> Reader<'a> {

@@ -205,9 +205,11 @@ impl ServoMap {
 impl ServoLimits {
     /// Way from full speed to standing, whole microseconds of pulse: speed² / (2 · acceleration).
     pub const fn braking_us(self) -> u64 {
-        let twice_acceleration = 2 * self.pulse_us_per_s2_max as u64;
         let speed = self.pulse_us_per_s_max as u64;
-        if twice_acceleration == 0 { u64::MAX } else { speed * speed / twice_acceleration }
+        match (speed * speed).checked_div(2 * self.pulse_us_per_s2_max as u64) {
+            Some(braking_us) => braking_us,
+            None => u64::MAX,
+        }
     }
 
     const fn check(self, channel: u16, span_us: u16) -> Result<(), ServoError> {

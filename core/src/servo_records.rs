@@ -17,6 +17,7 @@ use crate::blob::{self, Envelope};
 use crate::error::{BlobError, ServoError};
 use crate::limits::SERVOS_MAX;
 use crate::little_endian::u16s;
+use crate::model::Model;
 use crate::rotation::{Axis, AxisOrder};
 use crate::servo_map::{ServoInput, ServoLimits, ServoMap};
 
@@ -62,6 +63,19 @@ pub fn with_servos(
     }
     blob::seal_with_servos(blob, servos_bytes(servos.len())).ok_or(too_small)?;
     Ok(expected)
+}
+
+impl<'a> Model<'a> {
+    /// Calibration of the robot's servos; none where the blob was not calibrated. For
+    /// [`ServoStage::from_maps`](crate::ServoStage::from_maps).
+    pub fn servos(&self) -> impl Iterator<Item = ServoMap> + use<'a> {
+        self.servos.servos()
+    }
+
+    /// Frequency of the oscillator of the robot's PCA9685, 25 MHz where the blob was not calibrated.
+    pub fn pca9685_oscillator_hz(&self) -> u32 {
+        self.servos.oscillator_hz()
+    }
 }
 
 /// What stands behind the tensors; empty in blobs of version 2.
@@ -177,7 +191,6 @@ fn servo_of(record: &[u8; RECORD_BYTES]) -> Option<Result<ServoMap, ServoError>>
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Model;
     use crate::blob::{HEADER_BYTES, seal_again};
     use crate::manifest::{NumberFormat, SamplerKind};
     use crate::specimen::specimen;
@@ -269,6 +282,19 @@ mod tests {
         for map in [jaw(), jaw().following_angle(order, axis), jaw().following_twist(axis)] {
             assert_eq!(servo_of(&record_of(&map)), Some(Ok(map)));
         }
+    }
+
+    /// Blobs in the field are read as long as this stands.
+    #[test]
+    fn bytes_of_a_servo_are_these() {
+        let head = jaw().following_angle(AxisOrder::Zxy, Axis::Y).on_output(17);
+        let expected = [
+            [3, 0, 1, 9, 0x58, 2, 0x78, 5],
+            [0x60, 9, 0xE8, 3, 0xDF, 0xFF, 17, 0],
+            [0xA0, 0x51, 0xF5, 0xFF, 0xFB, 0xFF, 0xFF, 0xFF],
+            [0x70, 0x17, 0, 0, 0x60, 0xEA, 0, 0],
+        ];
+        assert_eq!(record_of(&head), *expected.as_flattened());
     }
 
     #[test]

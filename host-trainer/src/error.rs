@@ -93,7 +93,8 @@ impl Error {
         move |source| Self::Io { path, action, source }
     }
 
-    /// Exit code of the process: 1 limits exceeded, 3 bad input, 4 input/output, 5 bad blob, 130 interrupted (2 is clap's).
+    /// Exit code of the process: 1 limits exceeded, 3 bad input, 4 input/output, 5 bad blob, 130 interrupted (2 is
+    /// clap's).
     pub fn exit_code(&self) -> u8 {
         match self {
             Self::LimitsExceeded { .. } => 1,

@@ -13,7 +13,8 @@ use host_trainer::error::Result;
 #[derive(Debug, Parser)]
 #[command(version, about, arg_required_else_help = true)]
 #[command(
-    after_help = "Start with:\n  host-trainer demo\n\nExit codes: 0 done, 1 `check` found something, 2 wrong flags, 3 bad input, \
+    after_help = "Start with:\n  host-trainer demo\n\nExit codes: 0 done, 1 `check` found something, \
+    2 wrong flags, 3 bad input, \
     4 a file could not be read or written, 5 bad blob, 130 interrupted."
 )]
 struct Cli {

@@ -17,8 +17,8 @@ use crate::clip::{Clip, ClipSet};
 pub struct ClipCheck {
     /// Its name.
     pub clip: String,
-    /// How much faster than recorded it may be played within speed and acceleration; none where it leaves a range, which
-    /// no rate can mend, or where nothing moves.
+    /// How much faster than recorded it may be played within speed and acceleration; none where it leaves a range,
+    /// which no rate can mend, or where nothing moves.
     pub rate_max: Option<f64>,
     /// Worst place of every limit that it exceeds.
     pub excesses: Vec<Excess>,
