@@ -199,14 +199,14 @@ fn damaged_blob_is_refused_by_every_reader() {
     let mut changed = whole.clone();
     changed[whole.len() / 2] ^= 1;
     let mut newer = whole.clone();
-    newer[4] += 1;
+    newer[4] = 4;
     let older = fs::read(golden_path("version-1-w8a16.kara")).expect("a committed blob");
     let cases: [(&[u8], &str); 6] = [
         (b"", "0 bytes"),
         (b"no blob at all", "KRKR"),
         (&whole[..whole.len() - 1], "expected"),
         (&changed, "checksum"),
-        (&newer, "version 3 is newer"),
+        (&newer, "version 4 is newer"),
         (
             &older,
             "version 1 is older than 2, the oldest that is understood: quantise the run again",

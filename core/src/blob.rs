@@ -90,8 +90,11 @@ impl<'a> Envelope<'a> {
             return Err(bad("reserved header bytes", 0));
         }
         let servos_length = u32_at(bytes, field::SERVOS_LENGTH).unwrap_or(u32::MAX);
-        if version == VERSION_WITHOUT_SERVOS && servos_length != 0 {
-            return Err(bad("reserved header bytes", 0));
+        match (version, servos_length) {
+            (VERSION_WITHOUT_SERVOS, 0) => {}
+            (VERSION_WITHOUT_SERVOS, _) => return Err(bad("reserved header bytes", 0)),
+            (_, 0) => return Err(bad("bytes of servos", 0)),
+            _ => {}
         }
         let (bytes, servos) = bytes
             .len()
