@@ -38,14 +38,14 @@ struct Build {
 
 /// One number format an image, as a product has it; the smallest, and level 3, where inlining could bring a panic back.
 const INTEGER: [Build; 5] = [
-    Build { target: Target::CortexM0Plus, optimisation: "'s'", format: "w8a8", code_kib_max: 21 },
-    Build { target: Target::CortexM0Plus, optimisation: "'s'", format: "w4a8", code_kib_max: 23 },
-    Build { target: Target::CortexM4, optimisation: "'s'", format: "w8a16", code_kib_max: 19 },
-    Build { target: Target::CortexM4, optimisation: "3", format: "w4a8", code_kib_max: 32 },
-    Build { target: Target::CortexM4, optimisation: "'s'", format: "w8a8", code_kib_max: 20 },
+    Build { target: Target::CortexM0Plus, optimisation: "'s'", format: "w8a8", code_kib_max: 23 },
+    Build { target: Target::CortexM0Plus, optimisation: "'s'", format: "w4a8", code_kib_max: 24 },
+    Build { target: Target::CortexM4, optimisation: "'s'", format: "w8a16", code_kib_max: 20 },
+    Build { target: Target::CortexM4, optimisation: "3", format: "w4a8", code_kib_max: 34 },
+    Build { target: Target::CortexM4, optimisation: "'s'", format: "w8a8", code_kib_max: 21 },
 ];
 const F16: Build =
-    Build { target: Target::CortexM4, optimisation: "3", format: "f16", code_kib_max: 35 };
+    Build { target: Target::CortexM4, optimisation: "3", format: "f16", code_kib_max: 36 };
 
 /// A linked program.
 struct Image {
