@@ -21,10 +21,10 @@ pub mod specimen;
 
 use std::path::{Path, PathBuf};
 
+use crate::calibration::Servo;
 use crate::error::{Error, Result};
 use crate::export::{self, ExportFormat, Motion};
 use pulse_track::PulseTrack;
-use servo::Servo;
 
 /// What to bake.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]

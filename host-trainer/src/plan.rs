@@ -75,7 +75,7 @@ pub struct BoardPlan {
     pub flash_bytes: usize,
     /// Of the part.
     pub flash_bytes_max: usize,
-    /// Workspace, pose, code, player, servo stage, stack.
+    /// Model, workspace, player with its servo stage, stack.
     pub ram_bytes: usize,
     /// Of the part.
     pub ram_bytes_max: usize,
@@ -119,15 +119,12 @@ impl Plan {
     pub fn new(
         model: &Model<'_>,
         blob_bytes: usize,
-        ram_bytes: usize,
         boards: &[Board],
         keyframes: KeyframeReport,
     ) -> Self {
         let servos = servo_count(model);
-        let boards: Vec<BoardPlan> = boards
-            .iter()
-            .map(|board| board_plan(model, *board, blob_bytes, ram_bytes, servos))
-            .collect();
+        let boards: Vec<BoardPlan> =
+            boards.iter().map(|board| board_plan(model, *board, blob_bytes, servos)).collect();
         let code_bytes = boards.iter().map(|board| board.flash_bytes - blob_bytes).max();
         let model_bytes =
             blob_bytes + code_bytes.unwrap_or(0).saturating_sub(KEYFRAME_PLAYER_BYTES);
@@ -167,13 +164,16 @@ fn weight_bytes(model: &Model<'_>) -> u64 {
     tensor_plan(model.manifest()).filter(|(kind, _)| is_read(kind)).map(|(_, bytes)| bytes).sum()
 }
 
-fn board_plan(
-    model: &Model<'_>,
-    board: Board,
-    blob_bytes: usize,
-    ram_bytes: usize,
-    servos: usize,
-) -> BoardPlan {
+/// Widest-layer buffers of the format's arithmetic.
+fn workspace_bytes(model: &Model<'_>) -> usize {
+    let per_width = match model.number_format() {
+        karakuri::NumberFormat::F16 => 20,
+        _ => 8,
+    };
+    model.workspace_width() * per_width
+}
+
+fn board_plan(model: &Model<'_>, board: Board, blob_bytes: usize, servos: usize) -> BoardPlan {
     let (part, format) = (board.part(), model.number_format());
     let cost = part.core.cost(format);
     let pose = cost.pose_instructions(&PoseWork::of_model(model));
@@ -184,8 +184,10 @@ fn board_plan(
     // Ticks are integer code whatever the format.
     let tick_cycles = tick as f64 * part.core.cycles_per_instruction(karakuri::NumberFormat::W8A16);
     let clock_hz = f64::from(part.clock_mhz) * 1e6;
-    let ram_bytes =
-        ram_bytes + cost.stack_bytes as usize + tick_cost::tick_ram_bytes(model.channel_count());
+    let ram_bytes = workspace_bytes(model)
+        + size_of::<Model<'_>>()
+        + tick_cost::player_ram_bytes(model.channel_count())
+        + cost.stack_bytes as usize;
     let flash_bytes = blob_bytes + cost.code_bytes as usize;
     BoardPlan {
         part: part.name,
@@ -252,20 +254,18 @@ fn verdict(keyframes: &KeyframeReport, break_even: &[BreakEven], model_bytes: us
 mod tests {
     use super::*;
     use crate::bake::specimen;
-    use crate::inspect::blob::BlobReport;
     use hinges::Hinges;
 
     fn plan(clips: usize) -> Plan {
         let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/golden/creature-tiny-w8a16.kara");
         let blob = std::fs::read(path).unwrap();
-        let report = BlobReport::new(path.as_ref(), &blob).unwrap();
         let motions = specimen::character(clips);
         let hinges: Vec<Hinges> =
             motions.iter().map(|motion| Hinges::new(&motion.layout, &motion.poses)).collect();
         let keyframes = KeyframeReport::new("test".into(), &hinges, 50.0);
         let boards = [Board::Rp2040, Board::Stm32f4, Board::Stm32h7];
         let model = Model::from_bytes(&blob).unwrap();
-        Plan::new(&model, blob.len(), report.ram_bytes, &boards, keyframes)
+        Plan::new(&model, blob.len(), &boards, keyframes)
     }
 
     #[test]

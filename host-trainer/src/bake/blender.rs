@@ -19,6 +19,7 @@ use serde::Serialize;
 
 use crate::bake::credit;
 use crate::bake::pulse_track::PulseTrack;
+use crate::bake::servo::pulses_us;
 use crate::error::{Error, Result};
 use crate::export::Motion;
 
@@ -34,36 +35,25 @@ const THRESHOLD: f64 = 20.0;
 const BYTES_A_LINE: usize = 12;
 
 /// The ids that servos get: from 0 on, without those that are markers.
-pub fn ids(track: &PulseTrack<'_>, remarks: &mut Vec<String>) -> Result<Vec<u8>> {
-    let count = track.servos.len();
-    let ids: Vec<u8> =
-        (0..=u8::MAX).filter(|id| ![START, LINE_BREAK].contains(id)).take(count).collect();
-    if ids.len() < count {
-        let expected = format!("at most {} servos: an id is one byte", ids.len());
-        let remedy = "bake csv, or a calibration with fewer servos";
-        return Err(Error::bad_input("--format", "servos", count, expected, remedy));
-    }
-    if count > usize::from(LINE_BREAK) {
-        let moved: Vec<String> = (0..)
-            .zip(&ids)
-            .zip(track.servos)
-            .filter(|((index, id), _)| index != *id)
-            .map(|((_, id), servo)| format!("{} is {id}", servo.name))
-            .collect();
-        let text = format!(
-            "servo ids 10 and 60 are markers of the stream and left out: {}",
-            moved.join(", ")
-        );
+fn ids(track: &PulseTrack<'_>, remarks: &mut Vec<String>) -> Vec<u8> {
+    let is_marker = |id: &u8| [START, LINE_BREAK].contains(id);
+    let ids: Vec<u8> = (0..=u8::MAX).filter(|id| !is_marker(id)).take(track.servos.len()).collect();
+    let moved = (0..).zip(&ids).zip(track.servos).filter(|((index, id), _)| index != *id);
+    let moved: Vec<String> =
+        moved.map(|((_, id), servo)| format!("{} is {id}", servo.name)).collect();
+    if !moved.is_empty() {
+        let list = moved.join(", ");
+        let text = format!("servo ids 10 and 60 are markers of the stream and left out: {list}");
         if !remarks.contains(&text) {
             remarks.push(text);
         }
     }
-    Ok(ids)
+    ids
 }
 
 /// `.bin`.
 pub fn stream(track: &PulseTrack<'_>, remarks: &mut Vec<String>) -> Result<Vec<u8>> {
-    let ids = ids(track, remarks)?;
+    let ids = ids(track, remarks);
     let frames = marker_free(track, remarks)?;
     remarks.extend(threshold_remark(track));
     let mut bytes = Vec::new();
@@ -94,7 +84,7 @@ pub fn header(track: &PulseTrack<'_>, remarks: &mut Vec<String>) -> Result<Strin
         file(motion),
         credit(motion)
     );
-    for (id, servo) in ids(track, remarks)?.iter().zip(track.servos) {
+    for (id, servo) in ids(track, remarks).iter().zip(track.servos) {
         let _ = writeln!(text, "  Servo {id}: {}, µs", comment(&servo.name));
     }
     let _ = write!(
@@ -128,7 +118,7 @@ struct PositionFile {
 
 /// `.json`: no markers, so every position is exactly the nearest µs.
 pub fn json(track: &PulseTrack<'_>, remarks: &mut Vec<String>) -> Result<Vec<u8>> {
-    let (motion, ids) = (track.motion, ids(track, remarks)?);
+    let (motion, ids) = (track.motion, ids(track, remarks));
     remarks.extend(threshold_remark(track));
     let frames = track.whole_us();
     let changed = |(index, positions): (usize, &Vec<u16>)| {
@@ -158,7 +148,7 @@ fn marker_free(track: &PulseTrack<'_>, remarks: &mut Vec<String>) -> Result<Vec<
     let mut moved = 0;
     for (index, frame) in frames.iter_mut().enumerate() {
         for (servo, position) in track.servos.iter().zip(frame) {
-            let [min, _, max] = servo.pulses_us;
+            let [min, _, max] = pulses_us(servo);
             let nearby = [*position, position.wrapping_sub(1), position.wrapping_add(1)];
             let is_fit = |near: &&u16| {
                 let [high, low] = near.to_be_bytes();
@@ -316,7 +306,7 @@ mod tests {
     fn pulses_that_the_stream_cannot_hold_are_refused() {
         let motion = specimen::motion_of(&[0.0, 120.0]);
         let mut servos = specimen::servos(&motion);
-        servos[0].pulses_us[2] = 3000.0;
+        servos[0] = specimen::servo([500, 1500, 3000]);
         let track = PulseTrack::new(&motion, &servos, &mut Vec::new());
         let error = stream(&track, &mut Vec::new()).unwrap_err().to_string();
         assert!(error.contains("frame 1, jaw is 2700 µs"), "{error}");
@@ -333,18 +323,18 @@ mod tests {
 
     #[test]
     fn marker_ids_are_skipped_and_said() {
-        let groups = (0..70).map(|index| crate::layout::Group {
+        let groups = (0..32).map(|index| crate::layout::Group {
             name: format!("servo{index}"),
             kind: crate::layout::GroupKind::Scalar,
             unit: crate::layout::Unit::Degree,
         });
-        let mut motion = specimen::motion_of(&[1.0; 140]);
+        let mut motion = specimen::motion_of(&[1.0; 64]);
         motion.layout.groups = groups.collect();
         let servos = specimen::servos(&motion);
         let mut remarks = Vec::new();
         let track = PulseTrack::new(&motion, &servos, &mut Vec::new());
-        let ids = ids(&track, &mut remarks).unwrap();
-        assert_eq!((ids[9], ids[10], ids[58], ids[59]), (9, 11, 59, 61));
+        let ids = ids(&track, &mut remarks);
+        assert_eq!((ids[9], ids[10], ids[31]), (9, 11, 32));
         assert!(remarks[0].contains("servo10 is 11"), "{remarks:?}");
     }
 

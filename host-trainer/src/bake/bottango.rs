@@ -15,8 +15,9 @@
 use std::fmt::Write;
 
 use crate::bake::pulse_track::PulseTrack;
-use crate::bake::servo::Servo;
+use crate::bake::servo::pulses_us;
 use crate::bake::{credit, identifier};
+use crate::calibration::Servo;
 use crate::error::{Error, Result};
 use crate::keyframe::cubic;
 
@@ -101,8 +102,9 @@ fn pins_of(servos: &[Servo], pins: &[u8], remarks: &mut Vec<String>) -> Result<V
 
 fn setup(servos: &[Servo], pins: &[u8]) -> String {
     let line = |(servo, pin): (&Servo, &u8)| {
-        let [min, neutral, max] = servo.pulses_us;
-        format!("rSVPin,{pin},{min:.0},{max:.0},{:.0},{neutral:.0}\n", servo.us_per_s_max)
+        let [min, _, max] = servo.map.pulses_us();
+        let (limits, park) = (servo.map.limits(), servo.map.pulse_us_park());
+        format!("rSVPin,{pin},{min},{max},{},{park}\n", limits.pulse_us_per_s_max)
     };
     servos.iter().zip(pins).map(line).collect()
 }
@@ -148,15 +150,15 @@ fn clip(
 
 /// The fewest curves that keep the tolerance as they are written, and their largest error, µs.
 fn curves_of(
-    pulses_us: &[f64],
+    course_us: &[f64],
     servo: &Servo,
     pin: u8,
     rate_hz: f64,
     tolerance_us: f64,
 ) -> (Vec<Curve>, f64) {
-    let [min, _, max] = servo.pulses_us;
+    let [min, _, max] = pulses_us(servo);
     let us_per_y = (max - min).max(1.0) / Y_MAX;
-    let values: Vec<f64> = pulses_us.iter().map(|pulse_us| (pulse_us - min) / us_per_y).collect();
+    let values: Vec<f64> = course_us.iter().map(|pulse_us| (pulse_us - min) / us_per_y).collect();
     let ms_per_frame = 1000.0 / rate_hz;
     let mut narrow = tolerance_us / us_per_y;
     let mut best: Option<(Vec<Curve>, f64)> = None;

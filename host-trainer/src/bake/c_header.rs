@@ -32,12 +32,9 @@ pub fn emit(tracks: &[PulseTrack<'_>]) -> String {
          KARAKURI_PROGMEM\n#endif\n\n"
     );
     for (index, servo) in servos.iter().enumerate() {
-        let [min, neutral, max] = servo.pulses_us;
+        let [min, neutral, max] = servo.map.pulses_us();
         let name = servo.name.replace("*/", "* /");
-        let _ = writeln!(
-            text,
-            "/* servo {index}: {name}, {min:.0} to {max:.0}, neutral {neutral:.0} */"
-        );
+        let _ = writeln!(text, "/* servo {index}: {name}, {min} to {max}, neutral {neutral} */");
     }
     for track in tracks {
         text += &array(track);

@@ -14,8 +14,9 @@
 use std::fmt::Write;
 
 use crate::bake::pulse_track::PulseTrack;
-use crate::bake::servo::Servo;
+use crate::bake::servo::us_per_s_max;
 use crate::bake::{credit, identifier};
+use crate::calibration::Servo;
 use crate::error::{Error, Result};
 
 /// Channels of the boards that exist; the smallest is the Micro Maestro, which counts its period in other units.
@@ -72,10 +73,12 @@ pub fn emit(tracks: &[PulseTrack<'_>], remarks: &mut Vec<String>) -> Result<Stri
 }
 
 fn limits(servo: &Servo) -> Result<Limits> {
-    let [min, home, max] = servo.pulses_us.map(|pulse_us| (pulse_us * 4.0).round() as u32);
+    let quarters = |pulse_us: u16| u32::from(pulse_us) * 4;
+    let [min, _, max] = servo.map.pulses_us().map(quarters);
+    let home = quarters(servo.map.pulse_us_park());
     let (min, max) = (min.next_multiple_of(LIMIT_STEP), max / LIMIT_STEP * LIMIT_STEP);
     if min >= max {
-        let value = format!("{:?} µs", servo.pulses_us);
+        let value = format!("{:?} µs", servo.map.pulses_us());
         let expected =
             "a range that holds two multiples of 16 µs, in which the Maestro stores its limits";
         return Err(Error::bad_input(
@@ -98,7 +101,7 @@ fn channels(servos: &[Servo], limits: &[Limits], count: usize) -> String {
     for index in 0..count {
         let (name, min, home, max, speed) = match (servos.get(index), limits.get(index)) {
             (Some(servo), Some(Limits { min, home, max })) => {
-                let speed = (servo.us_per_s_max / SPEED_UNIT_US_PER_S).floor().clamp(1.0, 3968.0);
+                let speed = (us_per_s_max(servo) / SPEED_UNIT_US_PER_S).floor().clamp(1.0, 3968.0);
                 (escaped(&servo.name), *min, *home, *max, speed)
             }
             _ => (String::new(), 3968, 6000, 8000, 0.0),
@@ -202,7 +205,7 @@ mod tests {
     fn servo_without_room_between_the_limits_is_refused() {
         let motion = specimen::motion_of(&[0.0, 1.0]);
         let mut servos = specimen::servos(&motion);
-        servos[0].pulses_us = [1490.0, 1500.0, 1510.0];
+        servos[0] = specimen::servo([1490, 1500, 1510]);
         let track = PulseTrack::new(&motion, &servos, &mut Vec::new());
         assert!(emit(&[track], &mut Vec::new()).unwrap_err().to_string().contains("jaw"));
     }
@@ -226,8 +229,8 @@ mod tests {
             assert_eq!(attribute(channel, "name"), servo.name);
             let (min, max) = (number(channel, "min"), number(channel, "max"));
             assert!(
-                f64::from(min) >= servo.pulses_us[0] * 4.0
-                    && f64::from(max) <= servo.pulses_us[2] * 4.0
+                min >= u32::from(servo.map.pulses_us()[0]) * 4
+                    && max <= u32::from(servo.map.pulses_us()[2]) * 4
             );
             assert_eq!((min % LIMIT_STEP, max % LIMIT_STEP), (0, 0));
             assert_eq!(number(channel, "speed"), 240);

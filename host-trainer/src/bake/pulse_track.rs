@@ -6,7 +6,8 @@
 //! Why here: exporters that drop what is out of range leave a servo where it was and say nothing. Here such a pulse is
 //! moved to the end of the range, and the user hears which servo, how often, where first and by how much.
 
-use crate::bake::servo::Servo;
+use crate::bake::servo::{asked_us, pose_of, pulses_us, us_per_s_max};
+use crate::calibration::Servo;
 use crate::export::Motion;
 
 /// Pulses of one motion.
@@ -22,8 +23,10 @@ pub struct PulseTrack<'a> {
 impl<'a> PulseTrack<'a> {
     /// Asks every servo for its pulse in every frame and keeps it inside the servo's range.
     pub fn new(motion: &'a Motion, servos: &'a [Servo], remarks: &mut Vec<String>) -> Self {
-        let asked =
-            motion.frames().flat_map(|pose| servos.iter().map(|servo| servo.asked_us(pose)));
+        let asked = motion.frames().flat_map(|values| {
+            let pose = pose_of(values);
+            servos.iter().map(move |servo| asked_us(servo, &pose))
+        });
         let mut track = Self { motion, servos, pulses_us: asked.collect() };
         remarks.extend(track.keep_in_range());
         remarks.extend(track.too_fast());
@@ -57,7 +60,7 @@ impl<'a> PulseTrack<'a> {
         let count = self.servos.len();
         let mut remarks = Vec::new();
         for (index, servo) in self.servos.iter().enumerate() {
-            let [min, _, max] = servo.pulses_us;
+            let [min, _, max] = pulses_us(servo);
             let (mut clamped, mut first, mut worst) = (0, 0, 0.0f64);
             for (frame, pulse_us) in
                 self.pulses_us.iter_mut().skip(index).step_by(count).enumerate()
@@ -86,10 +89,12 @@ impl<'a> PulseTrack<'a> {
         let rate_hz = self.motion.rate_hz;
         let remark = |(index, servo): (usize, &Servo)| {
             let speed = self.step_us_max(index) * rate_hz;
-            (speed > servo.us_per_s_max).then(|| {
+            (speed > us_per_s_max(servo)).then(|| {
                 format!(
                     "seed {}: {} is asked for {speed:.0} µs/s, its limit is {:.0}; it will lag behind",
-                    self.motion.seed, servo.name, servo.us_per_s_max
+                    self.motion.seed,
+                    servo.name,
+                    us_per_s_max(servo)
                 )
             })
         };

@@ -14,10 +14,9 @@ pub fn emit(tracks: &[PulseTrack<'_>]) -> String {
         String::from("// Pulse widths in microseconds: one array a frame, one number a servo.\n");
     let servos = tracks.first().map_or(&[][..], |track| track.servos);
     for (index, servo) in servos.iter().enumerate() {
-        let [min, neutral, max] = servo.pulses_us;
+        let [min, neutral, max] = servo.map.pulses_us();
         let name = servo.name.replace(['\r', '\n'], " ");
-        let _ =
-            writeln!(text, "// servo {index}: {name}, {min:.0} to {max:.0}, neutral {neutral:.0}");
+        let _ = writeln!(text, "// servo {index}: {name}, {min} to {max}, neutral {neutral}");
     }
     for track in tracks {
         text += &constant(track);

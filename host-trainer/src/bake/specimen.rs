@@ -1,6 +1,9 @@
 //! Small motions for the tests of this folder: one servo by hand, or the built-in character on all of its servos.
 
-use crate::bake::servo::{Servo, default_servos};
+use karakuri::{ServoLimits, ServoMap};
+
+use crate::bake::servo::{DEFAULT_LIMITS, default_servos};
+use crate::calibration::Servo;
 use crate::character;
 use crate::export::Motion;
 use crate::layout::{Group, GroupKind, PoseLayout, Unit};
@@ -37,4 +40,12 @@ pub fn character(count: usize) -> Vec<Motion> {
 /// Servos by default.
 pub fn servos(motion: &Motion) -> Vec<Servo> {
     default_servos(&motion.layout).unwrap()
+}
+
+/// A servo of the first channel at 10 µs per degree.
+pub fn servo(pulses_us: [u16; 3]) -> Servo {
+    // Slow, so that it can brake within any range.
+    let limits = ServoLimits { pulse_us_per_s_max: 500, ..DEFAULT_LIMITS };
+    let map = ServoMap::new(0, pulses_us, 10 << 16, limits).unwrap();
+    Servo { name: "jaw".into(), map }
 }

@@ -5,11 +5,13 @@ use std::path::PathBuf;
 use serde::Serialize;
 
 use crate::atomic_file::{self, Overwrite};
-use crate::bake::servo::{Servo, default_servos};
+use crate::bake::servo::{default_servos, servos_of};
 use crate::bake::{self, BakeFormat, BakeOptions};
+use crate::calibration::{Calibration, Servo};
 use crate::commands::motions::MotionArgs;
 use crate::error::{Error, Result};
 use crate::export::{self, Motion};
+use crate::inspect::blob::{load, read_blob};
 use crate::stdout::{print, print_json};
 
 /// Remarks that are printed.
@@ -31,6 +33,9 @@ pub struct BakeArgs {
     /// Folder, or a file where all motions fit into one.
     #[arg(long, value_name = "DIR|FILE")]
     pub out: PathBuf,
+    /// Calibration of the robot's servos; otherwise those in the blob, otherwise 500 to 2500 µs at 10 µs a degree.
+    #[arg(long, value_name = "FILE.toml")]
+    pub calibration: Option<PathBuf>,
     /// Bottango: how far its curves may be from the motion, microseconds.
     #[arg(long, value_name = "US", default_value_t = 5.0, value_parser = tolerance)]
     pub tolerance_us: f64,
@@ -120,11 +125,25 @@ fn tolerance(text: &str) -> std::result::Result<f64, String> {
     number.ok_or_else(|| "expected 1 to 500 microseconds".to_owned())
 }
 
+/// Of the calibration, else of the blob, else stand-ins; none where the format holds no pulses.
 fn servos(args: &BakeArgs, motions: &[Motion]) -> Result<Vec<Servo>> {
-    match motions.first().filter(|_| args.format.has_pulses()) {
-        Some(motion) => default_servos(&motion.layout),
-        None => Ok(Vec::new()),
+    let Some(motion) = motions.first().filter(|_| args.format.has_pulses()) else {
+        return Ok(Vec::new());
+    };
+    if let Some(path) = &args.calibration {
+        return Calibration::read(path)?.servos(&motion.layout);
     }
+    let source = &args.motions.source;
+    if source.is_file() {
+        let servos = servos_of(&load(source, &read_blob(source)?)?);
+        if !servos.is_empty() {
+            return Ok(servos);
+        }
+    }
+    eprintln!(
+        "no servos are calibrated: 500 to 2500 µs at 10 µs a degree stand in; see --calibration"
+    );
+    default_servos(&motion.layout)
 }
 
 fn summary(motion: &Motion) -> MotionSummary<'_> {
@@ -207,5 +226,33 @@ mod tests {
         let (all, half) = (rows("50"), rows("25"));
         assert_eq!((all.len(), half.len(), rows("30").len()), (100, 50, 60));
         assert!(half.iter().zip(all.iter().step_by(2)).all(|(a, b)| a == b));
+    }
+
+    #[test]
+    fn pulses_are_those_of_the_calibration() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/calibrations/chako.toml");
+        let baked = |name: &str, flags: &str| {
+            let out = folder.path().join(name);
+            bake(&out, &format!("--format c-header {flags}")).unwrap();
+            std::fs::read_to_string(&out).unwrap()
+        };
+        let (standing_in, calibrated) =
+            (baked("a.h", ""), baked("b.h", &format!("--calibration {file}")));
+        assert!(standing_in.contains("servo 0: body_yaw, 500 to 2500, neutral 1500"));
+        assert!(!calibrated.contains("500 to 2500, neutral 1500"), "{calibrated}");
+        // A blob that carries the calibration says the same without the file.
+        let own = folder.path().join("own.kara");
+        let blob = Calibration::read(file.as_ref()).unwrap();
+        let blob = blob.put_into(BLOB.as_ref(), &read_blob(BLOB.as_ref()).unwrap()).unwrap();
+        std::fs::write(&own, blob).unwrap();
+        let out = folder.path().join("c.h");
+        let words = ["bake", "--action", "nod", "--seconds", "2", "--format", "c-header"];
+        let paths = [own.as_os_str(), "--out".as_ref(), out.as_os_str()];
+        let words = words.iter().map(std::ffi::OsStr::new).chain(paths);
+        run(&Command::try_parse_from(words).unwrap().bake).unwrap();
+        let text = std::fs::read_to_string(&out).unwrap();
+        let numbers = |text: &str| text.split_once("KARAKURI_PROGMEM = {").unwrap().1.to_owned();
+        assert_eq!(numbers(&text), numbers(&calibrated));
     }
 }

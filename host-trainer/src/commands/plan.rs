@@ -10,7 +10,7 @@ use crate::commands::inspect_clips::ImportArgs;
 use crate::commands::quantize::{FormatArg, quantize_checkpoint};
 use crate::error::Result;
 use crate::generate::{Request, generate_blob};
-use crate::inspect::blob::{BlobReport, load, read_blob};
+use crate::inspect::blob::{load, read_blob};
 use crate::mixture;
 use crate::plan::Plan;
 use crate::plan::board::Board;
@@ -59,12 +59,11 @@ pub fn run(args: &PlanArgs) -> Result<()> {
         false => read_blob(&args.source)?,
     };
     let model = load(&args.source, &blob)?;
-    let report = BlobReport::new(&args.source, &blob)?;
     let keyframes = match &args.data {
         Some(path) => of_clips(path, &args.import)?,
         None => of_motions(&args.source, &model)?,
     };
-    let plan = Plan::new(&model, blob.len(), report.ram_bytes, &args.boards, keyframes);
+    let plan = Plan::new(&model, blob.len(), &args.boards, keyframes);
     if args.json { print_json(&plan) } else { print(format_args!("{plan}\n")) }
 }
 

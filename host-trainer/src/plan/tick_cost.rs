@@ -3,19 +3,17 @@
 //! In:  channels, servos.
 //! Out: instructions and RAM, to `plan.rs`.
 //!
-//! Why here: the one place for these numbers. **They are rough estimates from the arithmetic, not counts**, and every
-//! report says so while [`IS_MEASURED`] is false.
+//! Why here: the one place for these numbers. **Instructions are rough estimates from the arithmetic, not counts**, and
+//! every report says so while [`IS_MEASURED`] is false. RAM is what the types take.
 
-use karakuri::ServoStage;
+use karakuri::Player;
 
 use super::core_cost::Core;
 
 /// Whether the numbers below were counted.
 pub const IS_MEASURED: bool = false;
 
-/// RAM of a player beside its poses: queue, dials, layers.
-const PLAYER_BYTES: usize = 512;
-/// RAM of a player a channel: two poses to interpolate between, with velocities, and what a transition remembers.
+/// RAM of a player a channel more; asserted in core, beside the player.
 const PLAYER_BYTES_PER_CHANNEL: usize = 24;
 
 /// Instructions of one tick: always, a channel, a servo.
@@ -33,7 +31,7 @@ pub fn tick_instructions(core: Core, channels: usize, servos: usize) -> u64 {
     always + per_channel * channels as u64 + per_servo * servos as u64
 }
 
-/// RAM of player and servo stage.
-pub fn tick_ram_bytes(channels: usize) -> usize {
-    size_of::<ServoStage>() + PLAYER_BYTES + PLAYER_BYTES_PER_CHANNEL * channels
+/// RAM of a player with its servo stage, poses and codes, as laid out on this host: a little more than on a chip.
+pub fn player_ram_bytes(channels: usize) -> usize {
+    size_of::<Player<'static, 'static, 1>>() + PLAYER_BYTES_PER_CHANNEL * channels.saturating_sub(1)
 }
