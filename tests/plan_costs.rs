@@ -46,7 +46,7 @@ fn instructions_of_the_model_are_those_counted_within_two_percent() {
     for (core, format, network, cells) in rows {
         let layers = network.shape().layers();
         let work = PoseWork::of_layers(layers.iter().skip(1).copied());
-        let modelled = core.cost(format).pose_instructions(&work);
+        let modelled = core.pose_instructions(format, &work);
         let counted = number(&cells, "instructions_per_pose");
         let share = (modelled / counted - 1.0).abs();
         let row = format!("{} {} {}", core.name(), format.name(), network.name());

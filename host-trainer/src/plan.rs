@@ -176,7 +176,7 @@ fn workspace_bytes(model: &Model<'_>) -> usize {
 fn board_plan(model: &Model<'_>, board: Board, blob_bytes: usize, servos: usize) -> BoardPlan {
     let (part, format) = (board.part(), model.number_format());
     let cost = part.core.cost(format);
-    let pose = cost.pose_instructions(&PoseWork::of_model(model));
+    let pose = part.core.pose_instructions(format, &PoseWork::of_model(model));
     let tick = tick_cost::tick_instructions(part.core, model.channel_count(), servos);
     let cycles_per_instruction = part.core.cycles_per_instruction(format);
     let pose_cycles = pose * cycles_per_instruction;
