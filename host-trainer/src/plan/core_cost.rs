@@ -73,40 +73,40 @@ impl Core {
     pub const fn cost(self, format: NumberFormat) -> CoreCost {
         match (self, format) {
             (Self::CortexM0Plus, NumberFormat::W8A16) => {
-                CoreCost::new([4.185, 128.7, 126.7], 23_908, 748)
+                CoreCost::new([4.185, 128.7, 126.7], 25_288, 748)
             }
             (Self::CortexM0Plus, NumberFormat::W8A8) => {
-                CoreCost::new([3.623, 130.9, 132.7], 24_272, 748)
+                CoreCost::new([3.623, 130.9, 132.7], 25_612, 748)
             }
             (Self::CortexM0Plus, NumberFormat::W4A8) => {
-                CoreCost::new([4.204, 136.2, 128.3], 27_108, 840)
+                CoreCost::new([4.204, 136.2, 128.3], 28_332, 840)
             }
             // Floats in software.
             (Self::CortexM0Plus, NumberFormat::F16) => {
-                CoreCost::new([353.343, 762.4, 0.0], 31_680, 740)
+                CoreCost::new([353.343, 762.4, 0.0], 33_112, 740)
             }
             (Self::CortexM4, NumberFormat::W8A16) => {
-                CoreCost::new([1.140, 46.8, 72.6], 21_252, 600)
+                CoreCost::new([1.140, 46.8, 72.6], 22_496, 600)
             }
-            (Self::CortexM4, NumberFormat::W8A8) => CoreCost::new([0.866, 49.4, 77.2], 21_876, 604),
-            (Self::CortexM4, NumberFormat::W4A8) => CoreCost::new([0.989, 56.2, 74.2], 25_512, 648),
-            (Self::CortexM4, NumberFormat::F16) => CoreCost::new([2.127, 30.4, 58.4], 27_328, 600),
+            (Self::CortexM4, NumberFormat::W8A8) => CoreCost::new([0.866, 49.4, 77.2], 23_128, 604),
+            (Self::CortexM4, NumberFormat::W4A8) => CoreCost::new([0.989, 56.2, 74.2], 26_720, 648),
+            (Self::CortexM4, NumberFormat::F16) => CoreCost::new([2.127, 30.4, 58.4], 28_464, 600),
             (Self::CortexM7, NumberFormat::W8A16) => {
-                CoreCost::new([1.140, 46.8, 72.4], 21_556, 600)
+                CoreCost::new([1.140, 46.8, 72.4], 22_820, 600)
             }
-            (Self::CortexM7, NumberFormat::W8A8) => CoreCost::new([0.866, 49.4, 77.0], 22_132, 604),
-            (Self::CortexM7, NumberFormat::W4A8) => CoreCost::new([0.989, 56.9, 74.5], 25_812, 672),
-            (Self::CortexM7, NumberFormat::F16) => CoreCost::new([2.127, 30.6, 58.3], 27_476, 608),
+            (Self::CortexM7, NumberFormat::W8A8) => CoreCost::new([0.866, 49.4, 77.0], 23_468, 604),
+            (Self::CortexM7, NumberFormat::W4A8) => CoreCost::new([0.989, 56.9, 74.5], 27_044, 648),
+            (Self::CortexM7, NumberFormat::F16) => CoreCost::new([2.127, 30.6, 58.3], 28_764, 608),
             (Self::CortexM33, NumberFormat::W8A16) => {
-                CoreCost::new([1.140, 46.8, 72.6], 21_400, 600)
+                CoreCost::new([1.140, 46.8, 72.6], 22_640, 600)
             }
             (Self::CortexM33, NumberFormat::W8A8) => {
-                CoreCost::new([0.866, 49.4, 77.2], 22_004, 604)
+                CoreCost::new([0.866, 49.4, 77.2], 23_272, 604)
             }
             (Self::CortexM33, NumberFormat::W4A8) => {
-                CoreCost::new([0.989, 56.2, 74.2], 25_616, 648)
+                CoreCost::new([0.989, 56.2, 74.2], 26_868, 648)
             }
-            (Self::CortexM33, NumberFormat::F16) => CoreCost::new([2.127, 30.4, 58.4], 27_396, 600),
+            (Self::CortexM33, NumberFormat::F16) => CoreCost::new([2.127, 30.4, 58.4], 28_492, 600),
         }
     }
 }
