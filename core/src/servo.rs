@@ -26,6 +26,8 @@ pub struct ServoStage {
     servos: heapless::Vec<Servo, SERVOS_MAX>,
     command: ServoCommand,
     mode: Mode,
+    /// The next command is the first one: the park pose.
+    is_parking: bool,
     fault: Option<Fault>,
     soft_start: SoftStart,
     /// How far the last step lies after the last tick.
@@ -52,8 +54,6 @@ struct Servo {
 enum Mode {
     /// No pulses.
     Released,
-    /// The next command is the park pose.
-    Parking,
     Following,
     Holding,
 }
@@ -88,6 +88,7 @@ impl ServoStage {
             servos: heapless::Vec::new(),
             command: ServoCommand::default(),
             mode: Mode::Released,
+            is_parking: false,
             fault: None,
             soft_start: SoftStart::done(),
             ahead_us: 0,
@@ -117,7 +118,8 @@ impl ServoStage {
         if self.mode != Mode::Released || self.fault.is_some() {
             return;
         }
-        self.mode = Mode::Parking;
+        self.mode = Mode::Following;
+        self.is_parking = true;
         self.ahead_us = 0;
         self.aim_age_us = 0;
         for servo in &mut self.servos {
@@ -152,13 +154,14 @@ impl ServoStage {
     ///
     /// # Cost
     /// A step every 5 ms and servo; a square root only where a limit binds. No division of 64 bits. Instructions for 11
-    /// servos, every 5 ms or every 20 ms: 2,700 or 9,200 on a Cortex-M4, 6,800 or 21,800 on an M0+; up to a third more
-    /// where limits bind. [`aim`](Self::aim) takes 740 and 1,610.
+    /// servos, every 5 ms or every 20 ms: 2,700 or 9,100 on a Cortex-M4, 7,000 or 22,000 on an M0+; up to a third more
+    /// where limits bind. [`aim`](Self::aim) takes 770 and 1,610.
     pub fn tick(&mut self, elapsed_us: u32) -> &ServoCommand {
         match self.mode {
             Mode::Released => {}
-            Mode::Parking => {
-                self.mode = Mode::Following;
+            // However long nobody ticked: no time has passed at these pulses.
+            _ if self.is_parking => {
+                self.is_parking = false;
                 self.write_pulses();
             }
             Mode::Following | Mode::Holding => {
@@ -189,6 +192,7 @@ impl ServoStage {
     /// Releases all servos at once, whatever state they are in: the next command has no pulses.
     pub fn relax(&mut self) {
         self.mode = Mode::Released;
+        self.is_parking = false;
         self.command.release();
     }
 
@@ -220,7 +224,7 @@ impl ServoStage {
     /// Brakes and stands still until [`clear_fault`](Self::clear_fault). The first fault stays; later ones are ignored.
     pub fn latch(&mut self, fault: Fault) {
         self.fault.get_or_insert(fault);
-        if self.mode == Mode::Parking {
+        if self.is_parking {
             self.relax();
         }
     }

@@ -78,11 +78,13 @@ impl ServoLimiter {
         self.velocity == 0
     }
 
-    /// Where it is `ahead_us` before its last step: on the line between the last two.
+    /// Where it is `ahead_us` before its last step: on the line between the last two, at most a step back.
     pub fn position_before(&self, ahead_us: u32) -> i32 {
-        let back =
-            i64::from(self.velocity) * i64::from(ahead_us.min(STEP_US) * (1 << 16) / STEP_US);
-        self.position - (back >> 16) as i32
+        // Shares in 2^-32, so that even the fastest servo is where it should be to 2^-16 µs.
+        const SHARE_OF_US: u64 = (1 << 48) / STEP_US as u64;
+        let share = (u64::from(ahead_us.min(STEP_US)) * SHARE_OF_US) >> 16;
+        let back = (i64::from(self.velocity) * share as i64) >> 32;
+        self.position - back as i32
     }
 
     /// Stands at `position`, which must be in range: where the servo is known to be, whatever it was doing.

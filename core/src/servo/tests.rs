@@ -60,9 +60,15 @@ fn first_command_is_the_park_pose_however_long_nobody_ticked() {
     let parked = map(LIMITS).with_park_at(1234).unwrap();
     let mut stage = ServoStage::new(&[parked, map(LIMITS)]).unwrap();
     stage.aim(&pose(&[90 * ONE_Q16]));
-    stage.enable();
-    assert_eq!(stage.tick(u32::MAX).pulses_us(), [1234, 1500]);
-    assert_eq!(stage.fault(), None);
+    for hold in [false, true] {
+        stage.relax();
+        stage.enable();
+        if hold {
+            stage.hold();
+        }
+        assert_eq!(stage.tick(u32::MAX).pulses_us(), [1234, 1500]);
+        assert_eq!((stage.fault(), stage.is_holding()), (None, hold));
+    }
 }
 
 #[test]

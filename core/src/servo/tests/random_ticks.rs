@@ -95,7 +95,9 @@ fn check_tick(stage: &ServoStage, last: &ServoCommand, were: &[(i32, i32)], elap
         }
         let travel_us = u64::from(pulse_us.abs_diff(last_us)).saturating_sub(1);
         let speed = u64::from(servo.map.limits().pulse_us_per_s_max);
-        assert!(travel_us * 1_000_000 <= speed * elapsed_us, "{travel_us} us in {elapsed_us} us");
+        // And 2^-16 µs of the line between two steps.
+        let way_us = speed * elapsed_us + 50;
+        assert!(travel_us * 1_000_000 <= way_us, "{travel_us} us in {elapsed_us} us, {servo:?}");
         let change = u64::from(now.0.abs_diff(was.0));
         assert!(is_late && now.0 == 0 || change <= steps * u64::from(was.1 as u32));
     }
@@ -105,20 +107,28 @@ fn check_tick(stage: &ServoStage, last: &ServoCommand, were: &[(i32, i32)], elap
 #[test]
 fn no_command_leaves_range_speed_or_acceleration_whatever_happens() {
     let mut random = Pcg32::new(5);
-    for _ in 0..1000 {
+    for robot in 0..1000 {
+        // Half of them are only aimed at and never wait long: they get beyond their soft start.
+        let is_calm = robot % 2 == 0;
         let maps = [(); 3].map(|()| any_map(&mut random));
         let mut stage = ServoStage::new(&maps).unwrap();
         let mut channels = [0; 4];
         stage.enable();
         for _ in 0..4000 {
-            let elapsed_us = any_tick(&mut random, &mut channels);
-            any_call(&mut random, &mut stage, &channels);
+            let mut elapsed_us = any_tick(&mut random, &mut channels);
+            if is_calm {
+                elapsed_us = elapsed_us.min(ServoStage::ELAPSED_US_MAX);
+                stage.aim(&pose(&channels));
+            } else {
+                any_call(&mut random, &mut stage, &channels);
+            }
             let (last, were) = (stage.command.clone(), velocities(&stage));
-            let was_parking = stage.mode == Mode::Parking;
+            let was_parking = stage.is_parking;
             stage.tick(elapsed_us);
             let last = if was_parking { ServoStage::new(&maps).unwrap().command } else { last };
             check_tick(&stage, &last, &were, elapsed_us);
         }
+        assert!(!is_calm || stage.fault().is_none());
     }
 }
 
@@ -165,7 +175,7 @@ proptest! {
                 let travel_us = u128::from(from_us.abs_diff(to_us).saturating_sub(1));
                 let elapsed_us = u128::from(end_us - start_us);
                 let speed = u128::from(map.limits().pulse_us_per_s_max);
-                prop_assert!(travel_us * 1_000_000 <= speed * elapsed_us);
+                prop_assert!(travel_us * 1_000_000 <= speed * elapsed_us + 50);
             }
         }
     }
