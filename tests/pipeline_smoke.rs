@@ -36,6 +36,7 @@ fn demo_tells_the_whole_story_in_one_table() {
         "clips",
         "run",
         "motions",
+        "calibration.toml",
         "chako-tiny-w8a16.kara",
         "chako-tiny-w8a8.kara",
         "chako-tiny-w4a8.kara",
@@ -43,6 +44,8 @@ fn demo_tells_the_whole_story_in_one_table() {
     ] {
         assert!(folder.path().join("demo").join(made).exists(), "no {made}: {demo}");
     }
+    let report = host_trainer(folder.path(), "inspect demo/chako-tiny-w8a8.kara --json");
+    assert_eq!(report.succeeded().json()["servo_count"], 11);
     let motions = fs::read_dir(folder.path().join("demo/motions")).expect("motions").count();
     assert_eq!(motions, 10 * (3 + 1), "three motions and a picture of each of ten actions");
 }
