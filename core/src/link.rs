@@ -44,7 +44,7 @@ const HEAD_BYTES: usize = 3;
 const CHECKSUM_BYTES: usize = 4;
 
 /// Bytes of the longest command but [`Command::LoadChunk`], as a message.
-pub const COMMAND_BYTES_MAX: usize = 20;
+pub const COMMAND_BYTES_MAX: usize = 23;
 
 /// Bytes of a [`Command::LoadChunk`] more than it carries, at most (chunks of up to 16,383 bytes).
 pub const CHUNK_HEAD_BYTES_MAX: usize = 8;

@@ -35,6 +35,9 @@ pub mod compare;
 
 // trace: model → poses in virtual time → servo commands
 pub mod trace;
+pub mod serve;
+#[cfg(unix)]
+pub mod pseudo_terminal;
 
 pub mod commands;
 

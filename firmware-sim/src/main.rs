@@ -3,6 +3,8 @@
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
+#[cfg(unix)]
+use firmware_sim::commands::serve;
 use firmware_sim::commands::{bench, compare, run, trace};
 
 /// Proves that the chip does what the float model did.
@@ -26,6 +28,9 @@ enum Verb {
     Bench(bench::BenchArgs),
     /// Write what the servos of a robot would be told, tick by tick, without a robot
     Trace(trace::TraceArgs),
+    /// Be a body at a line, for `host-trainer perform`
+    #[cfg(unix)]
+    Serve(serve::ServeArgs),
 }
 
 fn main() -> ExitCode {
@@ -34,6 +39,8 @@ fn main() -> ExitCode {
         Verb::Compare(arguments) => compare::run(&arguments).map(|()| true),
         Verb::Bench(arguments) => bench::run(&arguments).map(|()| true),
         Verb::Trace(arguments) => trace::run(&arguments).map(|()| true),
+        #[cfg(unix)]
+        Verb::Serve(arguments) => serve::run(&arguments).map(|()| true),
     };
     match outcome {
         Ok(true) => ExitCode::SUCCESS,

@@ -17,7 +17,7 @@ use serde::Serialize;
 use crate::error::{Error, Result};
 use crate::host::widest_workspace;
 
-pub use calibration::{PULSES_US, US_PER_S_MAX, US_PER_S2_MAX, US_PER_UNIT};
+pub use calibration::{PULSES_US, US_PER_S_MAX, US_PER_S2_MAX, US_PER_UNIT, own_servos, stand_ins};
 pub use summary::{ServoSummary, Summary};
 
 /// Default rate of commands: an analogue servo's own.

@@ -13,6 +13,7 @@ pub mod generate;
 pub mod inspect;
 pub mod inspect_clips;
 pub mod motions;
+pub mod perform;
 pub mod plan;
 pub mod quantize;
 pub mod reconstruct;

@@ -34,6 +34,7 @@ pub mod export;
 pub mod keyframe;
 pub mod bake;
 pub mod plan;
+pub mod perform;
 pub mod picture;
 pub mod reproduce;
 pub mod commands;

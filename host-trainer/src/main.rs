@@ -5,7 +5,7 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 use host_trainer::commands::{
     bake, bench, calibrate, character, check, classify, demo, evaluate, generate, inspect,
-    inspect_clips, plan, quantize, reconstruct, reproduce, samplers, train, tune,
+    inspect_clips, perform, plan, quantize, reconstruct, reproduce, samplers, train, tune,
 };
 use host_trainer::error::Result;
 
@@ -46,6 +46,8 @@ enum Verb {
     Generate(generate::GenerateArgs),
     /// Make new motions as files that other software and firmware play
     Bake(bake::BakeArgs),
+    /// Tell a body at a serial line what to do
+    Perform(perform::PerformArgs),
     /// Say whether a model fits a board, how fast it is there, and when keyframes are smaller
     Plan(plan::PlanArgs),
     /// Train the classifier that motions are evaluated by
@@ -83,6 +85,7 @@ fn run(verb: &Verb) -> Result<()> {
         Verb::Check(args) => check::run(args),
         Verb::Generate(args) => generate::run(args),
         Verb::Bake(args) => bake::run(args),
+        Verb::Perform(args) => perform::run(args),
         Verb::Plan(args) => plan::run(args),
         Verb::Classify(args) => classify::run(args),
         Verb::Evaluate(args) => evaluate::run(args),

@@ -128,8 +128,13 @@ mod tests {
     use super::*;
     use crate::link::Play;
 
-    const NOD: Command<'_> =
-        Command::Play(Play { action: 1, duration_ms: 800, seed: 7, then: false });
+    const NOD: Command<'_> = Command::Play(Play {
+        action: 1,
+        duration_ms: 800,
+        seed: 7,
+        transition_ms: 400,
+        then: false,
+    });
 
     /// Whether the command is to be acted upon, or the answer.
     fn send(inbox: &mut Inbox<64>, sequence: u16, command: &Command<'_>) -> Result<(), Report> {

@@ -25,7 +25,7 @@ pub enum Command<'a> {
     SoftStop,
     /// Release all servos at once.
     Relax,
-    /// Servos on, softly, from the park pose; after a hold, go on.
+    /// Servos on, softly, from the park pose.
     Wake,
     /// Forget a latched fault. Refused while its cause persists.
     ClearFault,
@@ -49,11 +49,13 @@ pub enum Command<'a> {
     LoadCommit,
     /// Answered by [`Report::State`].
     Query,
-    /// Whether to live on between motions, by actions of the body's own choice.
+    /// Live on between motions, by these actions; by none, stand still.
     Idle {
-        /// Whether it does.
-        is_alive: bool,
+        /// Bit i: action i; actions from number 64 on cannot be chosen.
+        actions: u64,
     },
+    /// Go on after [`Command::Hold`].
+    Resume,
 }
 
 /// A motion to play.
@@ -65,6 +67,8 @@ pub struct Play {
     pub duration_ms: u32,
     /// The same seed gives the same motion.
     pub seed: u64,
+    /// How long the way into the motion may take, milliseconds.
+    pub transition_ms: u16,
     /// After the present motion rather than in its place.
     pub then: bool,
 }
@@ -214,12 +218,13 @@ impl<'a> Command<'a> {
     /// [`LinkError::UnknownMessage`].
     pub(super) fn parse(message: &'a [u8]) -> Result<Self, LinkError> {
         let mut reader = Reader::new(message);
-        let command = match reader.variant(13) {
+        let command = match reader.variant(14) {
             0 => Self::Hello,
             1 => Self::Play(Play {
                 action: reader.u16(),
                 duration_ms: reader.u32(),
                 seed: reader.varint(),
+                transition_ms: reader.u16(),
                 then: reader.variant(2) == 1,
             }),
             2 => Self::Hold,
@@ -237,7 +242,8 @@ impl<'a> Command<'a> {
             9 => Self::LoadChunk { offset: reader.u32(), bytes: reader.bytes() },
             10 => Self::LoadCommit,
             11 => Self::Query,
-            _ => Self::Idle { is_alive: reader.variant(2) == 1 },
+            12 => Self::Idle { actions: reader.varint() },
+            _ => Self::Resume,
         };
         let is_whole = !reader.is_broken() && reader.rest().is_empty();
         is_whole.then_some(command).ok_or(LinkError::UnknownMessage)

@@ -101,15 +101,14 @@ fn obey<const CHANNELS: usize>(
         Command::Hold => player.hold(),
         Command::SoftStop => player.soft_stop(),
         Command::Relax => player.relax(),
-        Command::Wake => {
-            player.wake();
-            player.resume();
-        }
+        Command::Wake => player.wake(),
+        Command::Resume => player.resume(),
         Command::ClearFault => player.clear_fault(),
         Command::SetDials(dials) => return turn(dials, player),
-        Command::Idle { is_alive } => {
-            let count = if is_alive { player.model().manifest().action_count } else { 0 };
-            player.idle((0..count).map(ActionId));
+        Command::Idle { actions } => {
+            let count = player.model().manifest().action_count;
+            let is_chosen = |&index: &u16| actions.unbounded_shr(index.into()) & 1 == 1;
+            player.idle((0..count).filter(is_chosen).map(ActionId));
         }
         Command::LoadBegin { .. } | Command::LoadChunk { .. } | Command::LoadCommit => {
             return Err(Refusal::NotSupported);
@@ -130,6 +129,7 @@ fn begin<const CHANNELS: usize>(
         _ => {}
     }
     let intent = Intent::new(ActionId(play.action), play.duration_ms, play.seed);
+    let intent = intent.over_ms(play.transition_ms);
     let begun = if play.then { player.then(intent) } else { player.play(intent) };
     begun.map_err(|error| match error {
         PlayError::QueueFull { .. } => Refusal::QueueFull,

@@ -3,6 +3,8 @@
 pub mod bench;
 pub mod compare;
 pub mod run;
+#[cfg(unix)]
+pub mod serve;
 pub mod trace;
 
 use std::fs;

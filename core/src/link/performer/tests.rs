@@ -44,7 +44,7 @@ fn send(
 /// 20 frames of action 0, as `specimen` was made.
 fn motion(body: &Body<'_, '_>) -> Play {
     let duration_ms = 20 * 1_000_000 / body.model().manifest().rate_millihz;
-    Play { action: 0, duration_ms, seed: 3, then: false }
+    Play { action: 0, duration_ms, seed: 3, transition_ms: 400, then: false }
 }
 
 fn refused(sequence: u16, reason: Refusal) -> Vec<Report> {

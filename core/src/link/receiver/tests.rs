@@ -17,9 +17,9 @@ use crate::limits::SERVOS_MAX;
 const BYTES: usize = receiver_bytes(REPORT_BYTES_MAX + 400);
 
 fn command(bytes: &'static [u8]) -> impl Strategy<Value = Command<'static>> {
-    let play = (any::<u16>(), any::<u32>(), any::<u64>(), any::<bool>());
-    let play = play.prop_map(|(action, duration_ms, seed, then)| {
-        Command::Play(Play { action, duration_ms, seed, then })
+    let play = (any::<u16>(), any::<u32>(), any::<u64>(), any::<u16>(), any::<bool>());
+    let play = play.prop_map(|(action, duration_ms, seed, transition_ms, then)| {
+        Command::Play(Play { action, duration_ms, seed, transition_ms, then })
     });
     let dials =
         any::<[u16; 4]>().prop_map(|[intensity_q12, rate_q12, stillness_q12, variety_q12]| {
@@ -34,7 +34,8 @@ fn command(bytes: &'static [u8]) -> impl Strategy<Value = Command<'static>> {
         Command::ClearFault,
         Command::LoadCommit,
         Command::Query,
-        Command::Idle { is_alive: true },
+        Command::Idle { actions: u64::MAX },
+        Command::Resume,
     ];
     let load = any::<[u32; 2]>().prop_map(|[len_bytes, crc]| Command::LoadBegin { len_bytes, crc });
     let chunk = any::<u32>().prop_map(move |offset| Command::LoadChunk { offset, bytes });
@@ -138,7 +139,7 @@ fn frame_that_is_cut_anywhere_is_refused_and_the_next_arrives() {
 #[test]
 fn message_with_something_after_it_is_refused() {
     for message in
-        [[2_u8, 0].as_slice(), &[13], &[12, 2], &[], &[1, 5], &[1, 5, 1, 1, 2], &[0xFF; 12]]
+        [[2_u8, 0].as_slice(), &[14], &[13, 2], &[], &[1, 5], &[1, 5, 1, 1, 2], &[0xFF; 12]]
     {
         let frame = Frame { is_from_chip: false, sequence: 1, message };
         assert_eq!(frame.command(), Err(LinkError::UnknownMessage), "{message:?}");
@@ -150,8 +151,8 @@ fn message_with_something_after_it_is_refused() {
 #[test]
 fn longest_messages_are_as_long_as_declared() {
     let mut buffer = [0; 200];
-    let (action, duration_ms, seed) = (u16::MAX, u32::MAX, u64::MAX);
-    let play = Command::Play(Play { action, duration_ms, seed, then: true });
+    let (action, duration_ms, seed, transition_ms) = (u16::MAX, u32::MAX, u64::MAX, u16::MAX);
+    let play = Command::Play(Play { action, duration_ms, seed, transition_ms, then: true });
     assert_eq!(postcard::to_slice(&play, &mut buffer).unwrap().len(), COMMAND_BYTES_MAX);
     let pulses_us = core::iter::repeat_n(u16::MAX, SERVOS_MAX).collect();
     let (tick, interventions, broken_frames) = (u32::MAX, u32::MAX, u32::MAX);
@@ -192,7 +193,7 @@ proptest! {
 
     #[test]
     fn message_of_noise_is_read_as_serde_reads_it(
-        mut message in prop::collection::vec(prop_oneof![any::<u8>(), 0_u8..4], 0..30), tag in 0_u8..15
+        mut message in prop::collection::vec(prop_oneof![any::<u8>(), 0_u8..4], 0..30), tag in 0_u8..16
     ) {
         if let Some(first) = message.first_mut() {
             *first = tag;
