@@ -9,12 +9,14 @@
 
 #[cfg(feature = "embedded-hal-1")]
 mod pwm_servo;
+mod arrangement;
 mod dynamixel;
 mod feetech;
 mod packet;
 #[cfg(any(feature = "embedded-hal-1", feature = "embedded-hal-async-1"))]
 mod pca9685;
 
+pub use arrangement::arrange;
 pub use dynamixel::Dynamixel;
 pub use feetech::Feetech;
 pub use packet::BufferTooSmall;

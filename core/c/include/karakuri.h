@@ -39,13 +39,13 @@ typedef struct karakuri karakuri_t;
 
 typedef enum {
     KARAKURI_OK = 0,
-    /* A pointer is null, or the storage is not aligned to 8 bytes. */
+    /* A pointer is null that may not be, or the storage is not aligned to 8 bytes. */
     KARAKURI_BAD_ARGUMENT = 1,
     /* The blob is damaged, cut, not aligned to 16 bytes, or of another version. */
     KARAKURI_BAD_BLOB = 2,
     /* The model has more channels or wider layers than the storage has room for. */
     KARAKURI_TOO_LARGE = 3,
-    /* Pulses out of order, a limit of 0, a park pulse outside the range, more than 32 servos, or limits that cannot brake. */
+    /* Pulses out of order, a limit of 0, a park pulse outside the range, more than 32 servos, or none here and in the blob. */
     KARAKURI_BAD_SERVO = 4,
     /* The model has no such action. */
     KARAKURI_UNKNOWN_ACTION = 5,
@@ -88,7 +88,8 @@ typedef struct {
     uint16_t variety_q12;
 } karakuri_dials_t;
 
-/* Makes a body, its servos released. The blob stays where it is and must not change; so must the storage. */
+/* Makes a body, its servos released. The blob stays where it is and must not change; so must the storage. No servos (NULL, 0):
+ * those of the blob, from `host-trainer calibrate`. */
 karakuri_status_t karakuri_init(karakuri_t **body, karakuri_storage_t *storage, const uint8_t *blob, size_t blob_bytes,
                                 const karakuri_servo_t *servos, size_t servo_count, uint64_t seed);
 

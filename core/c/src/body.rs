@@ -23,6 +23,16 @@ pub struct Storage([MaybeUninit<u8>; STORAGE_BYTES]);
 
 const _: () = assert!(size_of::<Body>() <= STORAGE_BYTES && align_of::<Body>() <= 8);
 
+/// The caller's servos, or those of the blob where he gives none.
+fn stage(servos: &[CServo], model: &Model<'_>) -> Result<ServoStage, Status> {
+    if !servos.is_empty() {
+        let maps = maps(servos).ok_or(Status::BadServo)?;
+        return ServoStage::new(&maps).map_err(|_| Status::BadServo);
+    }
+    model.servos().next().ok_or(Status::BadServo)?;
+    ServoStage::from_maps(model.servos()).map_err(|_| Status::BadServo)
+}
+
 /// A player of any model that fits.
 type AnyPlayer = Player<'static, 'static, CHANNELS_MAX>;
 
@@ -47,8 +57,6 @@ impl Body {
         seed: u64,
     ) -> Result<*mut Self, Status> {
         let body: *mut Self = storage.cast();
-        let maps = maps(servos).ok_or(Status::BadServo)?;
-        let stage = ServoStage::new(&maps).map_err(|_| Status::BadServo)?;
         // SAFETY: a storage is at least as large and as aligned as a body; each field is written before it is
         // borrowed. The references live as long as the body, because it does not move and nothing but the player,
         // which borrows them, uses these fields.
@@ -59,6 +67,7 @@ impl Body {
         };
         model.load(blob).map_err(|_| Status::BadBlob)?;
         let model: &'static Model<'static> = model;
+        let stage = stage(servos, model)?;
         let decoder = Decoder::new(model, workspace).map_err(|error| match error {
             BlobError::WorkspaceTooSmall { .. } => Status::TooLarge,
             _ => Status::BadBlob,
@@ -77,8 +86,8 @@ impl Body {
         if body.is_null() {
             return None;
         }
-        // SAFETY: not null, and `place`, the only maker of bodies, has written the player. Only this field is borrowed:
-        // the others are the player's.
+        // SAFETY: not null, and `place`, the only maker of bodies, has written the player. Only this field is
+        // borrowed: the others are the player's.
         Some(unsafe { (*body).player.assume_init_ref() })
     }
 

@@ -93,16 +93,18 @@ pub unsafe extern "C" fn karakuri_init(
     servo_count: usize,
     seed: u64,
 ) -> Status {
-    let is_null = body.is_null() || storage.is_null() || blob.is_null() || servos.is_null();
+    let is_null = body.is_null() || storage.is_null() || blob.is_null();
+    let is_null = is_null || (servos.is_null() && servo_count > 0);
     if is_null || !storage.is_aligned() || !servos.is_aligned() {
         return Status::BadArgument;
     }
-    // SAFETY: neither is null; the caller gives these lengths, and the blob outlives the body and does not change.
-    let (blob, servos) = unsafe {
-        (
-            core::slice::from_raw_parts(blob, blob_bytes),
-            core::slice::from_raw_parts(servos, servo_count),
-        )
+    // SAFETY: not null; the caller gives this length, and the blob outlives the body and does not change.
+    let blob = unsafe { core::slice::from_raw_parts(blob, blob_bytes) };
+    let servos = if servo_count == 0 {
+        &[]
+    } else {
+        // SAFETY: not null where there are some, and the caller gives their number.
+        unsafe { core::slice::from_raw_parts(servos, servo_count) }
     };
     // SAFETY: not null, aligned, as large as its type, which the header repeats, and nobody else's.
     match unsafe { Body::place(storage, blob, servos, seed) } {

@@ -29,7 +29,7 @@ int main(int argc, char **argv) {
     CHECK(karakuri_init(&body, &storage, blob, bytes, NULL, 1, 7) == KARAKURI_BAD_ARGUMENT);
     CHECK(karakuri_init(&body, &storage, blob, bytes - 1, &servo, 1, 7) == KARAKURI_BAD_BLOB);
     CHECK(karakuri_init(&body, &storage, blob, bytes, &swapped, 1, 7) == KARAKURI_BAD_SERVO);
-    CHECK(karakuri_init(&body, &storage, blob, bytes, &servo, 0, 7) == KARAKURI_BAD_SERVO);
+    CHECK(karakuri_init(&body, &storage, blob, bytes, NULL, 0, 7) == KARAKURI_BAD_SERVO);
     CHECK(karakuri_init(&body, &storage, blob, bytes, many, 40, 7) == KARAKURI_BAD_SERVO);
     blob[100] ^= 1;
     CHECK(karakuri_init(&body, &storage, blob, bytes, &servo, 1, 7) == KARAKURI_BAD_BLOB);
