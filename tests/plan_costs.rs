@@ -17,8 +17,11 @@ const INSTRUCTIONS_SHARE: f64 = 0.02;
 /// How far code and stack may be.
 const BYTES_SHARE: f64 = 0.1;
 
+/// What was counted: of which network, in which format, on which core; names and texts of the counts.
+type Row = (Core, NumberFormat, Network, Vec<(String, String)>);
+
 /// Every counted row of a core that has boards: core, format, network, its cells.
-fn rows() -> Vec<(Core, NumberFormat, Network, Vec<(String, String)>)> {
+fn rows() -> Vec<Row> {
     let text = fs::read_to_string(golden_path("instructions.csv")).expect("a golden");
     let mut lines = text.lines().skip(1);
     let names: Vec<&str> = lines.next().expect("names").split(',').collect();

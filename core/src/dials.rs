@@ -15,7 +15,8 @@ pub struct Dials {
     /// Share of the time that an idle body rests between two motions; 1: it does not move at all. 0..=1.
     pub stillness_q12: u16,
     /// Temperature of the draw: 0 is always the clip nearest in length, below 1 fewer clips and less noise, above 1
-    /// more of both and larger steps between clips. Taken up by the next motion. 0..=2.
+    /// more of both, larger steps between clips, and a little more or less of every number of the code. Taken up by
+    /// the next motion. 0..=2.
     pub variety_q12: u16,
 }
 

@@ -52,13 +52,35 @@ impl Idle {
         self.rest_us = rest_us.min(u64::from(REST_US_MAX)) as u32;
     }
 
-    /// Lets a resting body wait; the motion that it begins when its rest is over.
-    pub fn wait(&mut self, elapsed_us: u32, dials: Dials, model: &Model<'_>) -> Option<Intent> {
+    /// Lets a resting body wait; the motion that it begins when its rest is over, and how.
+    pub fn wait(
+        &mut self,
+        elapsed_us: u32,
+        dials: Dials,
+        model: &Model<'_>,
+    ) -> Option<(Intent, Dials)> {
         if self.actions == 0 || dials.stillness_q12 >= Dials::ONE_Q12 {
             return None;
         }
         self.rest_us = self.rest_us.saturating_sub(elapsed_us);
-        if self.rest_us > 0 { None } else { Some(self.draw(model)) }
+        if self.rest_us > 0 { None } else { Some((self.draw(model), self.mood(dials))) }
+    }
+
+    /// The dials, each a little off: nobody does the same thing with the same force and haste twice. Intensity and
+    /// rate by up to a fifth and a sixth either way, variety three quarters of a turn up, evenly.
+    fn mood(&mut self, dials: Dials) -> Dials {
+        let mut about = |dial_q12: u16, reach_q12: u32| {
+            let factor_q12 = u32::from(Dials::ONE_Q12) - reach_q12
+                + below(2 * reach_q12 + 1, &mut || self.random.next_u32());
+            ((u32::from(dial_q12) * factor_q12) >> 12) as u16
+        };
+        let mood = Dials {
+            intensity_q12: about(dials.intensity_q12, 819),
+            rate_q12: about(dials.rate_q12, 683),
+            variety_q12: dials.variety_q12.saturating_add(Dials::ONE_Q12 * 3 / 4),
+            ..dials
+        };
+        mood.clamped()
     }
 
     /// One of the actions, as long as one that was trained: every action and every frame with equal chance.
@@ -110,6 +132,20 @@ mod tests {
         let still = Dials { stillness_q12: 4096, ..Dials::NEUTRAL };
         assert_eq!(idle.wait(u32::MAX, still, &model), None);
         assert!(idle.wait(u32::MAX, Dials::NEUTRAL, &model).is_some());
+    }
+
+    #[test]
+    fn mood_stays_near_the_dials() {
+        let mut idle = Idle::new(1);
+        let (mut rates, mut intensities) = ([u16::MAX, 0], [u16::MAX, 0]);
+        for _ in 0..10_000 {
+            let mood = idle.mood(Dials::NEUTRAL);
+            rates = [rates[0].min(mood.rate_q12), rates[1].max(mood.rate_q12)];
+            intensities =
+                [intensities[0].min(mood.intensity_q12), intensities[1].max(mood.intensity_q12)];
+            assert_eq!((mood.stillness_q12, mood.variety_q12), (2731, 7168));
+        }
+        assert_eq!((rates, intensities), ([3413, 4779], [3277, 4915]));
     }
 
     #[test]

@@ -57,6 +57,8 @@ pub struct Player<'m, 'w, const CHANNELS: usize> {
     dials: Dials,
     /// The motion under way.
     motion: Option<Intent>,
+    /// Its rate beside the dial's, Q4.12: 1 but for motions of the character's own.
+    haste_q12: u16,
     /// Time of the motion up to which markers have been told.
     marked_us: u32,
     is_held: bool,
@@ -89,6 +91,7 @@ impl<'m, 'w, const CHANNELS: usize> Player<'m, 'w, CHANNELS> {
             idle: Idle::new(seed),
             dials: Dials::NEUTRAL,
             motion: None,
+            haste_q12: Dials::ONE_Q12,
             marked_us: 0,
             is_held: false,
             flow_q16: 1 << 16,
@@ -102,7 +105,7 @@ impl<'m, 'w, const CHANNELS: usize> Player<'m, 'w, CHANNELS> {
     /// # Errors
     /// [`PlayError::Sample`]; the body then goes on as before.
     pub fn play(&mut self, intent: Intent) -> Result<(), PlayError> {
-        self.begin(intent)?;
+        self.begin(intent, self.dials)?;
         self.queue.clear();
         Ok(())
     }
@@ -230,7 +233,7 @@ impl<'m, 'w, const CHANNELS: usize> Player<'m, 'w, CHANNELS> {
     /// [`tick`](Self::tick) with a last word on the pose: a second voice, or inverse kinematics of your own.
     pub fn tick_with(&mut self, elapsed_us: u32, compose: impl FnOnce(&mut Pose)) -> &ServoCommand {
         let body_us = self.flow(elapsed_us.min(ServoStage::ELAPSED_US_MAX));
-        self.voice.advance(body_us, self.dials.rate_q12);
+        self.voice.advance(body_us, self.rate_q12());
         self.tell_markers();
         if self.voice.is_resting() {
             self.choose(body_us);
@@ -246,10 +249,17 @@ impl<'m, 'w, const CHANNELS: usize> Player<'m, 'w, CHANNELS> {
         self.stage.command()
     }
 
-    fn begin(&mut self, intent: Intent) -> Result<(), PlayError> {
+    /// Speed of the body's time, Q4.12.
+    fn rate_q12(&self) -> u16 {
+        ((u32::from(self.dials.rate_q12) * u32::from(self.haste_q12)) >> 12) as u16
+    }
+
+    fn begin(&mut self, intent: Intent, dials: Dials) -> Result<(), PlayError> {
         let frames = intent.frames(self.voice.model().rate_millihz());
         let transition_us = u32::from(intent.transition_ms) * 1000;
-        self.voice.begin(intent.action, frames, intent.seed, self.dials, transition_us)?;
+        self.voice.begin(intent.action, frames, intent.seed, dials, transition_us)?;
+        let haste_q12 = (u32::from(dials.rate_q12) << 12) / u32::from(self.dials.rate_q12.max(1));
+        self.haste_q12 = haste_q12.min(u32::from(2 * Dials::ONE_Q12)) as u16;
         self.tell(Event::Started(intent.action));
         self.marked_us = 0;
         self.motion = Some(intent);
@@ -261,17 +271,17 @@ impl<'m, 'w, const CHANNELS: usize> Player<'m, 'w, CHANNELS> {
         if let Some(motion) = self.motion.take() {
             self.tell(Event::Finished(motion.action));
             let at_rate = u64::from(self.voice.duration_us()) * u64::from(Dials::ONE_Q12);
-            let motion_us = at_rate / u64::from(self.dials.rate_q12.max(1));
+            let motion_us = at_rate / u64::from(self.rate_q12().max(1));
             let motion_us = u32::try_from(motion_us).unwrap_or(u32::MAX);
             self.idle.rest_after(motion_us, self.dials.stillness_q12);
         }
         let next = match self.queue.pop_front() {
             None => self.idle.wait(body_us, self.dials, self.voice.model()),
-            waiting => waiting,
+            Some(waiting) => Some((waiting, self.dials)),
         };
-        if let Some(intent) = next {
+        if let Some((intent, dials)) = next {
             // Checked when it was queued; one of idling that falls between two intervals is drawn again next tick.
-            let _ = self.begin(intent);
+            let _ = self.begin(intent, dials);
         }
     }
 

@@ -9,6 +9,8 @@
 //! full mixtures of many times their size (ARCHITECTURE.md, "How motions are drawn").
 //! Source: MotionINR, Algorithm 1, for length intervals and mixtures per action.
 
+mod intensity;
+
 use crate::code::{Code, interpolate};
 use crate::dials::Dials;
 use crate::error::{BlobError, SampleError};
@@ -55,9 +57,6 @@ impl Column {
         Self { least: i16::from_le_bytes([a, b]), bits, filler }
     }
 }
-
-/// Columns whose means are worked out in one reading of all rows.
-const MEAN_COLUMNS: usize = 16;
 
 impl<'a> Sampler<'a> {
     /// Without any table.
@@ -198,8 +197,8 @@ impl<'a> Sampler<'a> {
                 self.sample_clip(&nearest, variety, random, code);
             }
         }
-        if dials.intensity_q12 != Dials::ONE_Q12 {
-            self.move_from_mean(action, dials.intensity_q12, code);
+        if dials.intensity_q12 != Dials::ONE_Q12 || variety.stretches() {
+            self.move_from_mean(action, dials.intensity_q12, variety, random, code);
         }
         code.append(self.action_code(action));
         Ok(())
@@ -219,35 +218,6 @@ impl<'a> Sampler<'a> {
         self.intervals()
             .find(|interval| interval.action == action.0 && interval.contains(frames))
             .ok_or(SampleError::OutsideTraining { frames, frames_min, frames_max })
-    }
-
-    /// Stretches a code about the mean of its action's components by Q4.12, rounded to nearest, saturated.
-    #[inline(never)]
-    fn move_from_mean(&self, action: ActionId, intensity_q12: u16, code: &mut Code) {
-        let intensity = i64::from(intensity_q12);
-        for (place, values) in code.values.chunks_mut(MEAN_COLUMNS).enumerate() {
-            let means = self.means_of(action, place * MEAN_COLUMNS);
-            for (value, mean) in values.iter_mut().zip(means) {
-                let out_q12 = (i64::from(*value) - mean) * intensity;
-                *value = saturate(mean + ((out_q12 + (1 << 11)) >> 12));
-            }
-        }
-    }
-
-    /// Means of a few columns over the components of an action, rounded down; every component counts once in each of
-    /// its intervals. A few at a time, because numbers of uneven length are found by reading the row from its start.
-    fn means_of(&self, action: ActionId, column: usize) -> [i64; MEAN_COLUMNS] {
-        let (mut sums, mut count) = ([0i64; MEAN_COLUMNS], 0);
-        for interval in self.intervals().filter(|interval| interval.action == action.0) {
-            for member in 0..interval.member_count {
-                let numbers = self.mean(self.component_of(&interval, member)).skip(column);
-                for (sum, number) in sums.iter_mut().zip(numbers) {
-                    *sum += i64::from(number);
-                }
-                count += 1;
-            }
-        }
-        sums.map(|sum| sum.div_euclid(count.max(1)))
     }
 
     /// One of the interval's members, moved towards another, with noise.

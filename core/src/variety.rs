@@ -6,6 +6,7 @@
 //! Why here: one dial for three quantities, so that a user turns temperature and not tables.
 
 use crate::dials::Dials;
+use crate::random::below;
 
 /// The dial, and what follows from it.
 #[derive(Clone, Copy, Debug)]
@@ -36,5 +37,20 @@ impl Variety {
     pub fn sigma(self, sigma_q8: i32) -> i32 {
         let scaled = (i64::from(sigma_q8) * i64::from(self.variety_q12)) >> 12;
         scaled.clamp(i64::from(i32::MIN), i64::from(i32::MAX)) as i32
+    }
+
+    /// Whether every number of a code is to be stretched by a factor of its own.
+    pub fn stretches(self) -> bool {
+        self.variety_q12 > Dials::ONE_Q12
+    }
+
+    /// A factor about 1, Q12: evenly from 0.4 to 1.6 where the dial is at 2, 1 where it is at 1 or below. In as many
+    /// dimensions as a code has, no two draws come close to each other, even from one clip.
+    pub fn stretch_q12(self, random: &mut impl FnMut() -> u32) -> i64 {
+        if !self.stretches() {
+            return 1 << 12;
+        }
+        let reach_q12 = (u32::from(self.variety_q12 - Dials::ONE_Q12) * 2458) >> 12;
+        i64::from((1 << 12) - reach_q12 + below(2 * reach_q12 + 1, random))
     }
 }

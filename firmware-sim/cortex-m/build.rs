@@ -1,8 +1,9 @@
 //! Puts the blob, the cases and the board's memory map where the program and the linker look for them.
 //!
 //! In:  the environment: `KARAKURI_BLOB` and `KARAKURI_CASES`, paths; `KARAKURI_WIDTH`, the number of activations of
-//!      the widest layer; `KARAKURI_MEMORY`, a file name in `memory/` (default `mps2.x`).
-//! Out: `inputs.rs`, `width.rs` and `memory.x` in `OUT_DIR`.
+//!      the widest layer; `KARAKURI_CHANNELS`, those of the model; `KARAKURI_MEMORY`, a file name in `memory/`
+//!      (default `mps2.x`).
+//! Out: `inputs.rs`, `width.rs`, `channels.rs` and `memory.x` in `OUT_DIR`.
 //!
 //! Why here: `firmware_sim::firmware` sets what a program needs. Who builds by hand gets told what is missing, by the
 //! programs that need it: `decode_cases` all, the benchmarks the width, `check_kernels` nothing.
@@ -14,6 +15,7 @@ fn main() {
     let out_dir = Path::new(&out_dir);
     fs::write(out_dir.join("inputs.rs"), or_error(inputs())).expect("OUT_DIR can be written");
     fs::write(out_dir.join("width.rs"), or_error(width())).expect("OUT_DIR can be written");
+    fs::write(out_dir.join("channels.rs"), or_error(channels())).expect("OUT_DIR can be written");
 
     println!("cargo:rerun-if-env-changed=KARAKURI_MEMORY");
     let map = env::var("KARAKURI_MEMORY").unwrap_or_else(|_| "mps2.x".to_owned());
@@ -49,6 +51,14 @@ fn width() -> Result<String, String> {
     let width: usize = width.parse().map_err(|error| format!("KARAKURI_WIDTH={width}: {error}"))?;
     let doc = "/// Activations of the widest layer.";
     Ok(format!("{doc}\nconst WORKSPACE_WIDTH: usize = {width};\n"))
+}
+
+/// The size of the player.
+fn channels() -> Result<String, String> {
+    let channels = variable("KARAKURI_CHANNELS")?;
+    let channels: usize =
+        channels.parse().map_err(|error| format!("KARAKURI_CHANNELS={channels}: {error}"))?;
+    Ok(format!("/// Channels of the model.\nconst CHANNELS: usize = {channels};\n"))
 }
 
 fn variable(name: &str) -> Result<String, String> {

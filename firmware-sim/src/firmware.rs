@@ -52,6 +52,26 @@ impl Firmware {
         Ok(program)
     }
 
+    /// Compiles blob, stint and cues into a program that performs on `target`.
+    ///
+    /// # Errors
+    /// As [`build`](Self::build).
+    pub fn build_performer(blob: &[u8], performance: &[u8], target: Target) -> Result<Self> {
+        let model = Model::from_bytes(blob)?;
+        let workshop = Workshop::open(target)?;
+        let blob_path = store(workshop.folder.join("blob.kara"), blob)?;
+        let cases_path = store(workshop.folder.join("performance.bin"), performance)?;
+        let channels = model.channel_count().to_string();
+        let inputs = [
+            ("KARAKURI_BLOB", blob_path.as_os_str()),
+            ("KARAKURI_CASES", cases_path.as_os_str()),
+            ("KARAKURI_CHANNELS", OsStr::new(&channels)),
+        ];
+        let format = model.number_format();
+        let [program] = workshop.build(["perform"], format, model.workspace_width(), &inputs)?;
+        Ok(program)
+    }
+
     /// The ELF file.
     pub fn elf(&self) -> &Path {
         &self.elf

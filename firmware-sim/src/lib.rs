@@ -39,6 +39,13 @@ pub mod serve;
 #[cfg(unix)]
 pub mod pseudo_terminal;
 
+// perform: model and script → cues → performance on host and chip → summary, picture
+pub mod cue;
+pub mod script;
+pub mod show;
+pub mod virtual_servo;
+pub mod performance;
+
 pub mod commands;
 
 #[cfg(test)]

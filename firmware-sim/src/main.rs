@@ -5,7 +5,7 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 #[cfg(unix)]
 use firmware_sim::commands::serve;
-use firmware_sim::commands::{bench, compare, run, trace};
+use firmware_sim::commands::{bench, compare, perform, run, trace};
 
 /// Proves that the chip does what the float model did.
 #[derive(Parser)]
@@ -26,6 +26,8 @@ enum Verb {
     Compare(compare::CompareArgs),
     /// Count what a motion costs on emulated chips: instructions, flash, RAM
     Bench(bench::BenchArgs),
+    /// Let a character live for an hour without a body: limits, rest and repeats are counted
+    Perform(perform::PerformArgs),
     /// Write what the servos of a robot would be told, tick by tick, without a robot
     Trace(trace::TraceArgs),
     /// Be a body at a line, for `host-trainer perform`
@@ -38,6 +40,7 @@ fn main() -> ExitCode {
         Verb::Run(arguments) => run::run(&arguments),
         Verb::Compare(arguments) => compare::run(&arguments).map(|()| true),
         Verb::Bench(arguments) => bench::run(&arguments).map(|()| true),
+        Verb::Perform(arguments) => perform::run(&arguments),
         Verb::Trace(arguments) => trace::run(&arguments).map(|()| true),
         #[cfg(unix)]
         Verb::Serve(arguments) => serve::run(&arguments).map(|()| true),

@@ -169,7 +169,7 @@ fn run_on_device(
 }
 
 /// A program that prints too little must not pass as one without differences.
-fn check_complete(transcript: &Transcript, host: &[Vec<i32>]) -> Result<Ram> {
+pub(crate) fn check_complete(transcript: &Transcript, host: &[Vec<i32>]) -> Result<Ram> {
     let incomplete = |log: String| Error::Firmware { reason: "incomplete output".into(), log };
     if transcript.poses.len() != host.len() {
         let found = transcript.poses.len();
@@ -183,7 +183,7 @@ fn check_complete(transcript: &Transcript, host: &[Vec<i32>]) -> Result<Ram> {
 }
 
 /// Both lists have the same shape: `check_complete`.
-fn compare_bits(host: &[Vec<i32>], device: &[Vec<i32>]) -> Differences {
+pub(crate) fn compare_bits(host: &[Vec<i32>], device: &[Vec<i32>]) -> Differences {
     let mut differences = Differences::default();
     for (pose, (host, device)) in host.iter().zip(device).enumerate() {
         differences.bits_compared += 32 * host.len() as u64;

@@ -14,6 +14,8 @@ use semihosting::{io, io::Write, println, process};
 /// Defined once for host and device.
 #[path = "../../src/case.rs"]
 pub mod case;
+#[path = "../../src/cue.rs"]
+pub mod cue;
 pub mod blob_partition;
 pub mod region;
 pub mod stack;

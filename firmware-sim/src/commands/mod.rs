@@ -2,6 +2,7 @@
 
 pub mod bench;
 pub mod compare;
+pub mod perform;
 pub mod run;
 #[cfg(unix)]
 pub mod serve;

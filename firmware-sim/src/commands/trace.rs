@@ -142,7 +142,7 @@ fn table(summary: &Summary) -> String {
     text
 }
 
-fn check_new(path: &Path, force: bool) -> Result<()> {
+pub(super) fn check_new(path: &Path, force: bool) -> Result<()> {
     if !force && path.exists() {
         let remedy = "choose another --out, or replace it with --force";
         return Err(Error::bad_input(path, "output file", "there already", "a new file", remedy));
@@ -151,7 +151,7 @@ fn check_new(path: &Path, force: bool) -> Result<()> {
 }
 
 /// Writes the whole file or none of it: beside its place first, then there.
-fn write_file(path: &Path, bytes: &[u8], force: bool) -> Result<()> {
+pub(super) fn write_file(path: &Path, bytes: &[u8], force: bool) -> Result<()> {
     check_new(path, force)?;
     let mut name = path.file_name().unwrap_or_default().to_owned();
     name.push(".partial");

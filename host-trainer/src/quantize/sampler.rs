@@ -135,7 +135,8 @@ fn nearest_clips(
 /// The numbers of a row one after another, the lowest bits first, filled up to a whole byte.
 fn packed_row(row: &[f64], columns: &[Column]) -> Vec<u8> {
     let bits: usize = columns.iter().map(|column| usize::from(column.bits)).sum();
-    let mut bytes = vec![0; bits.div_ceil(8) + 1];
+    // A number may reach into the next byte, also one of no bits behind the last full one.
+    let mut bytes = vec![0; bits / 8 + 2];
     let mut place = 0;
     for (value, column) in row.iter().zip(columns) {
         let [low, high] = (u16::from(column.encode(*value)) << (place % 8)).to_le_bytes();
@@ -292,5 +293,12 @@ mod tests {
         // 5 = 101, 200 = 11001000, 33 = 100001; read from the right.
         let packed = packed_row(&[5.0, 9.0, 200.0, 33.0], &columns);
         assert_eq!(packed, [0b0100_0101, 0b0000_1110, 0b1]);
+    }
+
+    #[test]
+    fn numbers_of_no_bits_behind_a_full_byte_take_no_room() {
+        let column = |bits| Column { least: 0.0, step: 1.0, bits };
+        assert_eq!(packed_row(&[7.0, 7.0], &[column(0), column(0)]), [0u8; 0]);
+        assert_eq!(packed_row(&[200.0, 7.0], &[column(8), column(0)]), [200]);
     }
 }

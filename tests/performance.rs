@@ -1,0 +1,120 @@
+//! An hour of a character without a body: `firmware-sim perform` on a trained and calibrated blob.
+//!
+//! Why here: limits, rest and repeats are promises of the whole path, from clips to pulses; so is that a chip performs
+//! what the host performs, command by command.
+
+use std::fs;
+use std::path::Path;
+
+use karakuri::Model;
+use tempfile::TempDir;
+use tests::{Program, firmware_sim, host_trainer, repository, seal, skip, workplace};
+
+/// `firmware-sim`'s exit code where QEMU or a cross-compiler is missing.
+const MISSING_TOOL: i32 = 6;
+
+/// A folder with `chako.kara`, calibrated as the demo is.
+fn stage() -> TempDir {
+    let folder = workplace();
+    let calibration = repository().join("host-trainer/calibrations/chako.toml");
+    let line =
+        format!("calibrate w8a16.kara --calibration {} --out chako.kara", calibration.display());
+    host_trainer(folder.path(), &line).succeeded();
+    folder
+}
+
+fn performed(folder: &Path, line: &str) -> serde_json::Value {
+    firmware_sim(folder, &format!("perform chako.kara {line} --json")).succeeded().json()
+}
+
+#[test]
+fn blob_without_servos_and_scripts_that_cannot_be_performed_are_refused() {
+    let folder = stage();
+    let at = folder.path();
+    firmware_sim(at, "perform w8a16.kara")
+        .refused(3, &["w8a16.kara", "number of servos is 0", "host-trainer calibrate"]);
+    for (text, says) in [
+        ("0 wake\n1 play sing 2\n", "line 2 (`1 play sing 2`) is sing, expected an action: "),
+        ("0 wake\n1 play nod 600\n", "expected a trained length"),
+        ("1 wake\n0 hold\n", "line 2"),
+    ] {
+        fs::write(at.join("script.txt"), text).expect("a writable folder");
+        firmware_sim(at, "perform chako.kara --script script.txt")
+            .refused(3, &[says, "perform --help"]);
+    }
+    fs::create_dir(at.join("hour")).expect("a writable folder");
+    fs::write(at.join("hour/trace.csv"), "mine").expect("a writable folder");
+    firmware_sim(at, "perform chako.kara --minutes 0.1 --out hour")
+        .refused(3, &["trace.csv", "--force"]);
+    assert_eq!(fs::read_to_string(at.join("hour/trace.csv")).expect("a file"), "mine");
+}
+
+#[test]
+fn half_an_hour_with_faults_keeps_every_limit_and_rests() {
+    let folder = stage();
+    let summary = performed(folder.path(), "--minutes 30 --seed 3 --out hour");
+    let number = |key: &str| summary[key].as_f64().unwrap_or(f64::NAN);
+    assert_eq!((number("violations"), number("ticks")), (0.0, 90_000.0), "{summary}");
+    assert!((0.05..0.8).contains(&number("active_fraction")), "{summary}");
+    assert!(number("interventions_per_minute") < 600.0, "{summary}");
+    assert!(summary["nearest_repeat"]["distance"].as_f64() > Some(0.0), "{summary}");
+    for name in ["trace.csv", "summary.json", "performance.svg"] {
+        assert!(
+            fs::metadata(folder.path().join("hour").join(name)).is_ok_and(|file| file.len() > 300)
+        );
+    }
+    let again = performed(folder.path(), "--minutes 30 --seed 3");
+    assert_eq!(summary, again, "the same seed, the same hour");
+}
+
+#[test]
+fn idle_character_rests_as_told_and_does_not_repeat_itself() {
+    let folder = stage();
+    fs::write(folder.path().join("idle.txt"), "0 wake\n1 idle all\n1 dial stillness 0.5\n")
+        .expect("a writable folder");
+    let summary = performed(folder.path(), "--minutes 60 --script idle.txt");
+    let moving = summary["in_motion_fraction"].as_f64().unwrap_or_default();
+    assert!((0.42..0.58).contains(&moving), "{summary}");
+    // Half a degree: the step of a PCA9685 at 50 Hz.
+    assert!(summary["nearest_repeat"]["distance"].as_f64() > Some(0.2), "{summary}");
+}
+
+/// Weights that changed in flash after they were checked: motion may be nonsense, commands may not.
+#[test]
+fn flipped_bits_behind_a_fitting_checksum_never_break_a_limit() {
+    let folder = stage();
+    let whole = fs::read(folder.path().join("chako.kara")).expect("a blob");
+    let mut performances = 0;
+    for place in (0..whole.len() * 8).step_by(whole.len() * 8 / 24) {
+        let mut blob = whole.clone();
+        blob[place / 8] ^= 1 << (place % 8);
+        seal(&mut blob);
+        if Model::from_bytes(&blob).is_err() {
+            continue;
+        }
+        fs::write(folder.path().join("flipped.kara"), &blob).expect("a writable folder");
+        let outcome = firmware_sim(folder.path(), "perform flipped.kara --minutes 1 --json");
+        if outcome.code == Some(3) {
+            continue; // The calibration itself was hit: refused by name.
+        }
+        let summary = outcome.succeeded().json();
+        assert_eq!(summary["violations"], 0, "bit {place}: {summary}");
+        performances += 1;
+    }
+    assert!(performances > 15, "{performances}");
+}
+
+#[test]
+fn a_cortex_m4_performs_what_the_host_performs() {
+    let folder = stage();
+    let line = "perform chako.kara --minutes 3 --seed 2 --target cortex-m4 --json";
+    let outcome = Program::FirmwareSim.run(folder.path(), line.split(' '));
+    if outcome.code == Some(MISSING_TOOL) {
+        skip(outcome.stderr.trim());
+        return;
+    }
+    let summary = outcome.succeeded().json();
+    let chip = &summary["chips"][0];
+    assert_eq!(chip["ticks"], 9000, "{summary}");
+    assert_eq!(chip["differences"]["bits_differing"], 0, "{summary}");
+}
