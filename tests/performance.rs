@@ -8,7 +8,10 @@ use std::path::Path;
 
 use karakuri::Model;
 use tempfile::TempDir;
-use tests::{Program, firmware_sim, host_trainer, repository, seal, skip, workplace};
+use tests::{
+    FLOAT_FORMAT, GOLDEN_BLOBS, Program, assert_golden, firmware_sim, golden_path, host_trainer,
+    repository, seal, skip, workplace,
+};
 
 /// `firmware-sim`'s exit code where QEMU or a cross-compiler is missing.
 const MISSING_TOOL: i32 = 6;
@@ -65,6 +68,46 @@ fn half_an_hour_with_faults_keeps_every_limit_and_rests() {
     }
     let again = performed(folder.path(), "--minutes 30 --seed 3");
     assert_eq!(summary, again, "the same seed, the same hour");
+}
+
+/// Ten minutes of the committed blobs in every integer format, at the tick rates that loops have.
+#[test]
+fn ten_minutes_of_the_committed_blobs_are_the_known_ones() {
+    let folder = tests::sandbox();
+    let calibration = repository().join("host-trainer/calibrations/chako.toml");
+    let mut table =
+        "format  tick Hz  frames a key  violations  interventions/min  active %  in motion %  \
+        nearest repeat, deg  of the clips\n"
+            .to_owned();
+    for (format, blob) in GOLDEN_BLOBS.into_iter().filter(|(format, _)| *format != FLOAT_FORMAT) {
+        let blob = golden_path(blob);
+        let line = format!(
+            "calibrate {} --calibration {} --out chako.kara --force",
+            blob.display(),
+            calibration.display()
+        );
+        host_trainer(folder.path(), &line).succeeded();
+        for (tick_hz, frames_per_key) in [(50, 1), (60, 2), (200, 4)] {
+            let line = format!(
+                "--minutes 10 --seed 1 --tick-hz {tick_hz} --frames-per-key {frames_per_key}"
+            );
+            let summary = performed(folder.path(), &line);
+            let number = |key: &str| {
+                summary.pointer(key).and_then(serde_json::Value::as_f64).unwrap_or(f64::NAN)
+            };
+            table += &format!(
+                "{format:<6}  {tick_hz:>7}  {frames_per_key:>12}  {:>10}  {:>17.1}  {:>8.1}  {:>11.1}  {:>19.2}  \
+                 {:>12.2}\n",
+                number("/violations"),
+                number("/interventions_per_minute"),
+                100.0 * number("/active_fraction"),
+                100.0 * number("/in_motion_fraction"),
+                number("/nearest_repeat/distance"),
+                number("/nearest_among_clips/distance"),
+            );
+        }
+    }
+    assert_golden("performance.txt", &table);
 }
 
 #[test]

@@ -90,7 +90,7 @@ fn draw_minutes<'a>(area: &Area<'a>, performance: &Performance) -> Drawn<'a> {
             ("sans-serif", 13),
         )
         .margin(6)
-        .x_label_area_size(20)
+        .x_label_area_size(34)
         .y_label_area_size(44)
         .build_cartesian_2d(0.0..minutes, 0.0..1.0)?;
     chart.configure_mesh().light_line_style(WHITE).x_desc("minute").draw()?;
