@@ -161,3 +161,29 @@ fn a_cortex_m4_performs_what_the_host_performs() {
     assert_eq!(chip["ticks"], 9000, "{summary}");
     assert_eq!(chip["differences"]["bits_differing"], 0, "{summary}");
 }
+
+#[test]
+fn ticks_are_counted_and_those_without_a_pose_are_the_cheap_ones() {
+    let folder = stage();
+    let script = "0 wake\n0.2 idle all\n0.2 dial stillness 0.2\n1 play nod 2 seed 7\n";
+    fs::write(folder.path().join("script.txt"), script).expect("a writable folder");
+    let line = "perform chako.kara --script script.txt --minutes 0.1 --tick-hz 100 --json";
+    let counted = format!("{line} --target cortex-m4 --count");
+    let outcome = Program::FirmwareSim.run(folder.path(), counted.split(' '));
+    if outcome.code == Some(MISSING_TOOL) {
+        skip(outcome.stderr.trim());
+        return;
+    }
+    let summary = outcome.succeeded().json();
+    let count = |name: &str| summary["chips"][0]["instructions_per_tick"][name].as_u64();
+    let names = ["without_pose", "with_pose", "start_max"];
+    let counts = names.map(|name| count(name).unwrap_or_else(|| panic!("{name}: {summary}")));
+    assert!(counts.is_sorted() && counts[0] > 1000, "{counts:?}");
+    assert!(count("resting") < count("mean") && count("mean") < count("with_pose"), "{summary}");
+    assert!(count("without_pose") <= count("without_pose_max"), "{summary}");
+    assert_eq!(summary["chips"][0]["differences"]["bits_differing"], 0, "{summary}");
+    // Wrong requests are refused before anything is built.
+    firmware_sim(folder.path(), "perform chako.kara --count").refused(2, &["--target"]);
+    firmware_sim(folder.path(), "perform chako.kara --minutes 2 --target cortex-m4 --count")
+        .refused(3, &["number of ticks is 6000", "3000"]);
+}

@@ -46,26 +46,31 @@ enum { REGION_BEGINS = 0x46d2, REGION_ENDS = 0x46db }; // mov r10, r10; mov r11,
 // One counter per halfword of the 32-bit address space, in pages that exist once something in them was translated.
 enum { PAGE_BITS = 12, COUNTERS_PER_PAGE = 1 << (PAGE_BITS - 1), PAGES = 1 << (32 - PAGE_BITS) };
 static uint64_t *pages[PAGES];
+// Of the pages that exist: a look at a million is too much for each of many regions.
+static uint32_t first_page = PAGES, end_page;
 static FILE *out;
 
 static uint64_t *counter_at(uint32_t address) {
     uint64_t **page = &pages[address >> PAGE_BITS];
     if (!*page) *page = calloc(COUNTERS_PER_PAGE, sizeof **page);
     if (!*page) abort();
+    uint32_t number = address >> PAGE_BITS;
+    if (number < first_page) first_page = number;
+    if (number >= end_page) end_page = number + 1;
     return &(*page)[(address / 2) % COUNTERS_PER_PAGE];
 }
 
 static void on_begin(unsigned processor, void *argument) {
-    for (uint32_t page = 0; page < PAGES; page++)
+    for (uint32_t page = first_page; page < end_page; page++)
         if (pages[page]) memset(pages[page], 0, COUNTERS_PER_PAGE * sizeof(uint64_t));
 }
 
 static void on_end(unsigned processor, void *argument) {
     uint64_t total = 0;
-    for (uint32_t page = 0; page < PAGES; page++)
+    for (uint32_t page = first_page; page < end_page; page++)
         for (uint32_t i = 0; pages[page] && i < COUNTERS_PER_PAGE; i++) total += pages[page][i];
     fprintf(out, "region %llu\n", (unsigned long long)total);
-    for (uint32_t page = 0; page < PAGES; page++)
+    for (uint32_t page = first_page; page < end_page; page++)
         for (uint32_t i = 0; pages[page] && i < COUNTERS_PER_PAGE; i++)
             if (pages[page][i])
                 fprintf(out, "%x %llu\n", page << PAGE_BITS | 2 * i, (unsigned long long)pages[page][i]);

@@ -12,10 +12,13 @@ mod on_chip;
 mod picture;
 mod repeat;
 mod summary;
+mod tick_counts;
+
+use std::iter;
 
 use indicatif::ProgressBar;
 use karakuri::limits::CHANNELS_MAX;
-use karakuri::{Model, PlayerState, Pose, ServoMap};
+use karakuri::{Event, Model, PlayerState, Pose, ServoMap};
 
 use crate::cue::{Cue, Deed, Refusal, Stint, numbers, perform};
 use crate::error::{BLOB, Error, Result};
@@ -24,10 +27,11 @@ use crate::virtual_servo::{HOBBY_SERVO, VirtualServo};
 
 pub use clips::clip_courses;
 pub use monitor::{Monitor, Violation};
-pub use on_chip::{ChipPerformance, perform_on_chip, program_input};
+pub use on_chip::{COUNTED_TICKS_MAX, ChipPerformance, perform_on_chip, program_input};
 pub use picture::draw;
 pub use repeat::{Course, NearestRepeat, WINDOW_S, nearest_repeat};
 pub use summary::{Summary, summarize};
+pub use tick_counts::InstructionsPerTick;
 
 /// One tick of a performance.
 #[derive(Clone, Debug, PartialEq)]
@@ -42,6 +46,8 @@ pub struct Tick {
     pub limited: u32,
     /// Whether a motion was under way, told or of the character's own.
     pub in_motion: bool,
+    /// Whether one began within the tick: of the character's own, or one that waited.
+    pub begins_motion: bool,
     /// Where the horns are, µs.
     pub horns_us: Vec<f64>,
     /// The pose before the servos' limits: channels that servos follow, in channel units.
@@ -82,11 +88,14 @@ pub fn perform_on_host(
         stint,
         cues.iter().copied(),
         |tick, elapsed_us, player| {
+            while player.take_event().is_some() {}
             let numbers: Vec<i32> = numbers(player.tick(elapsed_us)).collect();
+            let begins_motion = iter::from_fn(|| player.take_event())
+                .any(|event| matches!(event, Event::Started(_)));
             let in_motion = matches!(player.state(), PlayerState::Moving(_));
             world.take(tick, elapsed_us, numbers);
             if let Some(tick) = world.ticks.last_mut() {
-                tick.in_motion = in_motion;
+                (tick.in_motion, tick.begins_motion) = (in_motion, begins_motion);
                 tick.channels = followed(player.pose(), &channels);
             }
             if tick % 1000 == 0 {
@@ -212,6 +221,7 @@ impl World {
             pulses_us,
             limited: numbers[0].cast_unsigned(),
             in_motion: false,
+            begins_motion: false,
             horns_us,
             channels: Vec::new(),
         });

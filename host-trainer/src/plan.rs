@@ -20,6 +20,7 @@ use serde::Serialize;
 use board::Board;
 use core_cost::PoseWork;
 use keyframe_bytes::{KeyframeCost, KeyframeReport};
+use tick_cost::TickCost;
 
 /// Share of a processor that motion may take; the rest is the user's.
 pub const SAFE_SHARE: f64 = 0.7;
@@ -50,8 +51,6 @@ pub struct Plan {
     pub channels: usize,
     /// Servos: one a scalar channel, three a rotation.
     pub servos: usize,
-    /// Whether ticks were counted, or estimated from their arithmetic.
-    pub ticks_are_measured: bool,
     /// One a board.
     pub boards: Vec<BoardPlan>,
     /// The same motions as keyframes.
@@ -83,7 +82,7 @@ pub struct BoardPlan {
     pub fits: bool,
     /// Of one pose.
     pub instructions_per_pose: u64,
-    /// Of one tick between poses.
+    /// Of one tick without a pose, at 50 ticks a second.
     pub instructions_per_tick: u64,
     /// Cycles of an instruction; assumed.
     pub cycles_per_instruction: f64,
@@ -137,7 +136,6 @@ impl Plan {
             multiply_accumulates_per_pose: model.multiply_accumulates_per_pose(),
             channels: model.channel_count(),
             servos,
-            ticks_are_measured: tick_cost::IS_MEASURED,
             boards,
             verdict: verdict(&keyframes, &break_even, model_bytes),
             keyframes,
@@ -177,12 +175,15 @@ fn board_plan(model: &Model<'_>, board: Board, blob_bytes: usize, servos: usize)
     let (part, format) = (board.part(), model.number_format());
     let cost = part.core.cost(format);
     let pose = part.core.pose_instructions(format, &PoseWork::of_model(model));
-    let tick = tick_cost::tick_instructions(part.core, model.channel_count(), servos);
+    let tick = TickCost::new(part.core, model.channel_count(), servos);
     let cycles_per_instruction = part.core.cycles_per_instruction(format);
     let pose_cycles = pose * cycles_per_instruction;
     let flash_cycles = pose_cycles + weight_bytes(model) as f64 * part.flash_cycles_per_byte;
     // Ticks are integer code whatever the format.
-    let tick_cycles = tick as f64 * part.core.cycles_per_instruction(karakuri::NumberFormat::W8A16);
+    let cycles_per_tick_instruction =
+        part.core.cycles_per_instruction(karakuri::NumberFormat::W8A16);
+    let tick_cycles = tick.per_tick as f64 * cycles_per_tick_instruction;
+    let step_cycles_per_s = tick.per_s as f64 * cycles_per_tick_instruction;
     let clock_hz = f64::from(part.clock_mhz) * 1e6;
     let ram_bytes = workspace_bytes(model)
         + size_of::<Model<'_>>()
@@ -199,14 +200,17 @@ fn board_plan(model: &Model<'_>, board: Board, blob_bytes: usize, servos: usize)
         ram_bytes_max: part.ram_bytes,
         fits: flash_bytes <= part.flash_bytes && ram_bytes <= part.ram_bytes,
         instructions_per_pose: pose.round() as u64,
-        instructions_per_tick: tick,
+        instructions_per_tick: tick.instructions_at(50),
         cycles_per_instruction,
         pose_ms: flash_cycles / clock_hz * 1e3,
         pose_ms_from_ram: (ram_bytes + blob_bytes <= part.ram_bytes)
             .then_some(pose_cycles / clock_hz * 1e3),
-        safe_poses_per_s: SAFE_SHARE * clock_hz / (flash_cycles + tick_cycles),
+        safe_poses_per_s: (SAFE_SHARE * clock_hz - step_cycles_per_s).max(0.0)
+            / (flash_cycles + tick_cycles),
         load: POSE_RATES_HZ.map(|poses| {
-            TICK_RATES_HZ.map(|ticks| (poses * flash_cycles + ticks * tick_cycles) / clock_hz)
+            TICK_RATES_HZ.map(|ticks| {
+                (poses * flash_cycles + ticks * tick_cycles + step_cycles_per_s) / clock_hz
+            })
         }),
     }
 }
@@ -304,7 +308,8 @@ mod tests {
     #[test]
     fn text_has_every_board_and_tolerance() {
         let text = plan(2).to_string();
-        for words in ["RP2040", "STM32F411", "0.5°", "4°", "T*", "estimated", "Use keyframes if"]
+        for words in
+            ["RP2040", "STM32F411", "0.5°", "4°", "T*", "counts under QEMU", "Use keyframes if"]
         {
             assert!(text.contains(words), "{words} is missing in\n{text}");
         }

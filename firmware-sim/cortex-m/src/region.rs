@@ -32,7 +32,13 @@ pub fn begin() {
 /// Ends the region that was begun last and gives it a name.
 #[inline(always)]
 pub fn end(name: impl Display) {
+    end_unnamed();
+    println!("region {name}");
+}
+
+/// Ends the region that was begun last, for a reader who knows what it is.
+#[inline(always)]
+pub fn end_unnamed() {
     // SAFETY: as in `begin`.
     unsafe { asm!("mov r11, r11", options(nostack, preserves_flags)) };
-    println!("region {name}");
 }

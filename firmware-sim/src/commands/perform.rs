@@ -11,8 +11,8 @@ use super::{print, print_json, progress_bar, read_blob};
 use crate::cue::Stint;
 use crate::error::{Error, Result};
 use crate::performance::{
-    ChipPerformance, NearestRepeat, Performance, Summary, clip_courses, draw, perform_on_chip,
-    perform_on_host, servo_names, summarize,
+    COUNTED_TICKS_MAX, ChipPerformance, InstructionsPerTick, NearestRepeat, Performance, Summary,
+    clip_courses, draw, perform_on_chip, perform_on_host, servo_names, summarize,
 };
 use crate::script;
 use crate::show::show;
@@ -42,6 +42,9 @@ pub struct PerformArgs {
     /// Also perform on this emulated chip and compare every command; may be given several times
     #[arg(long, value_enum)]
     target: Vec<Target>,
+    /// Also count the instructions of each tick on these chips; a minute at most
+    #[arg(long, requires = "target")]
+    count: bool,
     /// Also write trace.csv, summary.json and performance.svg into this folder
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
@@ -102,14 +105,14 @@ pub fn run(args: &PerformArgs) -> Result<bool> {
         frames_per_key: args.frames_per_key,
         seed: args.seed,
     };
+    check_counted(args, stint)?;
     let progress = progress_bar();
     progress.set_message("performing");
     let outcome = (|| -> Result<_> {
         let performance = perform_on_host(&model, stint, &cues, &progress).map_err(in_file)?;
-        let chips = args
-            .target
-            .iter()
-            .map(|target| perform_on_chip(&blob, &cues, &performance, *target, &progress));
+        let chips = args.target.iter().map(|target| {
+            perform_on_chip(&blob, &cues, &performance, *target, args.count, &progress)
+        });
         Ok((chips.collect::<Result<Vec<_>>>()?, performance))
     })();
     progress.finish_and_clear();
@@ -136,6 +139,15 @@ pub fn run(args: &PerformArgs) -> Result<bool> {
     }
     let equal = report.chips.iter().all(|chip| chip.differences.bits_differing == 0);
     Ok(report.summary.violations == 0 && equal)
+}
+
+fn check_counted(args: &PerformArgs, stint: Stint) -> Result<()> {
+    if args.count && stint.tick_count > COUNTED_TICKS_MAX {
+        let (value, expected) = (stint.tick_count, format!("{COUNTED_TICKS_MAX} to be counted"));
+        let remedy = "shorten the performance, for example `--minutes 0.4`";
+        return Err(Error::bad_input("--count", "number of ticks", value, expected, remedy));
+    }
+    Ok(())
 }
 
 const FILES: [&str; 3] = ["trace.csv", "summary.json", "performance.svg"];
@@ -238,8 +250,25 @@ fn table(report: &Report) -> String {
                 chip.commands, chip.differences.bits_differing, chip.ram.stack_bytes_max
             ),
         ));
+        if let Some(counts) = &chip.instructions_per_tick {
+            lines.push(("", describe_counts(counts)));
+        }
     }
     lines.into_iter().map(|(name, value)| format!("{name:<16}{value}\n")).collect()
+}
+
+fn describe_counts(counts: &InstructionsPerTick) -> String {
+    let parts = [
+        ("at rest", counts.resting),
+        ("in a motion without a pose", counts.without_pose),
+        ("at most", counts.without_pose_max),
+        ("with one", counts.with_pose),
+        ("beginning a motion at most", counts.start_max),
+        ("mean", counts.mean),
+    ];
+    let known = parts.into_iter().filter_map(|(name, count)| Some(format!("{name} {}", count?)));
+    let known: Vec<String> = known.collect();
+    format!("instructions a tick: {}", known.join(", "))
 }
 
 fn describe(repeat: Option<&NearestRepeat>) -> String {

@@ -119,6 +119,7 @@ mod tests {
             elapsed_us: 20_000,
             pulses_us: vec![Some(pulse_us)],
             limited,
+            begins_motion: false,
             in_motion: false,
             horns_us: vec![f64::from(pulse_us)],
             channels: Vec::new(),

@@ -20,14 +20,10 @@ impl fmt::Display for Plan {
         )?;
         writeln!(out, "{}", boards(&self.boards))?;
         writeln!(out, "{}", loads(&self.boards))?;
-        let ticks = match self.ticks_are_measured {
-            true => "counted",
-            false => "roughly estimated, not counted",
-        };
         writeln!(
             out,
-            "Instructions of a pose follow counts under QEMU; cycles per instruction and waiting for flash are \
-             assumed;\nticks are {ticks}. Safe: a tick with every pose in {:.0} % of the processor.\n",
+            "Instructions of poses and ticks follow counts under QEMU; cycles per instruction and waiting for flash \
+             are assumed.\nSafe: a tick with every pose in {:.0} % of the processor.\n",
             100.0 * SAFE_SHARE
         )?;
         writeln!(out, "{}", self.keyframe_lines())?;

@@ -3,13 +3,14 @@
 //! Performs what the host performed, and prints each command.
 //!
 //! In:  blob, stint and cues, workspace width and channels, put into the program by `build.rs`.
-//! Out: a line `pose` for each tick, with the numbers of its command; last a line `ram`.
+//! Out: a line `pose` for each tick, with the numbers of its command; last a line `ram`. Each tick is a region for the
+//!      instruction counter, where one listens.
 //!
 //! Why here: the device's half of `firmware-sim perform`; `firmware_sim::performance` compares the lines.
 
 use cortex_m_rt::entry;
 use firmware::cue::{Cue, Stint, numbers, perform};
-use firmware::{or_refuse, print_numbers, stack};
+use firmware::{or_refuse, print_numbers, region, stack};
 use karakuri::limits::SERVOS_MAX;
 use karakuri::{Model, Workspace};
 
@@ -36,14 +37,18 @@ fn perform_all() {
     let (cues, _) = cues.as_chunks::<{ Cue::BYTES }>();
     let cues = cues.iter().map(Cue::from_bytes);
     let stint = Stint::from_bytes(stint);
-    let played = perform::<CHANNELS, _>(&model, &mut workspace, stint, cues, |_, elapsed_us, player| {
-        let mut line = [0; SERVOS_MAX + 1];
-        let mut count = 0;
-        for (place, number) in line.iter_mut().zip(numbers(player.tick(elapsed_us))) {
-            *place = number;
-            count += 1;
-        }
-        or_refuse("console", print_numbers("pose", &line[..count]));
-    });
+    let played =
+        perform::<CHANNELS, _>(&model, &mut workspace, stint, cues, |_, elapsed_us, player| {
+            let mut line = [0; SERVOS_MAX + 1];
+            let mut count = 0;
+            region::begin();
+            let command = player.tick(elapsed_us);
+            region::end_unnamed();
+            for (place, number) in line.iter_mut().zip(numbers(command)) {
+                *place = number;
+                count += 1;
+            }
+            or_refuse("console", print_numbers("pose", &line[..count]));
+        });
     or_refuse("performance", played);
 }
