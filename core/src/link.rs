@@ -26,7 +26,7 @@ mod receiver;
 pub use error::LinkError;
 pub use frame::frame_bytes_max;
 pub use inbox::{Arrival, Inbox};
-pub use loader::{BlobSink, Loader, SinkError};
+pub use loader::{BlobSink, Loader, SinkError, blob_crc};
 pub use message::{Command, DialSettings, Mode, Play, Refusal, Report};
 pub use performer::Performer;
 pub use receiver::{Frame, Receiver};

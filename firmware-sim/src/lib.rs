@@ -36,6 +36,7 @@ pub mod compare;
 // trace: model → poses in virtual time → servo commands
 pub mod trace;
 pub mod serve;
+pub mod shelf;
 #[cfg(unix)]
 pub mod pseudo_terminal;
 

@@ -6,11 +6,13 @@
 //! Why here: flash differs from chip to chip, what must be checked does not.
 
 use super::{Command, Refusal};
-use crate::crc32::Crc32;
+use crate::crc32::{Crc32, crc32};
 
 /// Where a chip keeps its blob.
 ///
-/// Whoever plays from the old blob must have stopped: [`begin`](Self::begin) may erase it.
+/// Beside [`Performer::hear_or_load`](super::Performer::hear_or_load) the old blob stays whole until the commit: it is
+/// played again if the new one is refused. Where there is room for one only, the player has to go before
+/// [`begin`](Self::begin) erases it; such a program hands the commands to its [`Loader`] itself.
 pub trait BlobSink {
     /// Makes room for `len_bytes`.
     ///
@@ -53,6 +55,11 @@ impl From<SinkError> for Refusal {
             SinkError::Rejected => Self::BadBlob,
         }
     }
+}
+
+/// The CRC-32 of a blob's file, as [`Command::LoadBegin`] announces it.
+pub fn blob_crc(blob: &[u8]) -> u32 {
+    crc32([blob])
 }
 
 /// How far a blob has come.
@@ -135,7 +142,6 @@ mod tests {
     use std::vec::Vec;
 
     use super::*;
-    use crate::crc32::crc32;
 
     /// Flash of 100 bytes.
     #[derive(Default)]

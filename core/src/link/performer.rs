@@ -3,11 +3,15 @@
 //! In:  bytes of the line, one by one; the time since the last tick.
 //! Out: servo commands, and [`Report`]s for whoever owns the line to encode and send.
 //!
-//! Why here: firmware, simulator and C library answer a host alike. It owns no line and no flash: loading a blob
-//! means that the player's model goes away, so a program that offers it handles [`Command::LoadBegin`] itself, with a
-//! [`Loader`](super::Loader), before it makes a new player.
+//! Why here: firmware, simulator and C library answer a host alike. It owns no line and no flash: a program that takes
+//! blobs brings a [`BlobSink`], and makes a new player where one was committed. Blobs are taken only while the servos
+//! are released: writing flash stops many chips for longer than a tick, and the body that starts anew with the blob
+//! drops its limbs. Whoever directs it says `relax` first, and sees that it lies safely; holding is not enough.
 
-use super::{Arrival, Command, DialSettings, Inbox, Mode, Play, Refusal, Report};
+use super::{
+    Arrival, BlobSink, CHUNK_HEAD_BYTES_MAX, Command, DialSettings, Inbox, Loader, Mode, Play,
+    Refusal, Report, receiver_bytes,
+};
 use crate::dials::Dials;
 use crate::error::PlayError;
 use crate::intent::Intent;
@@ -17,8 +21,11 @@ use crate::player::{Player, PlayerState};
 /// Reports that wait to be taken; more are left out.
 const REPORTS_MAX: usize = 4;
 
-/// Answers a host for a player. `N`: bytes of the longest command, see [`receiver_bytes`](super::receiver_bytes) of
-/// [`COMMAND_BYTES_MAX`](super::COMMAND_BYTES_MAX).
+/// Longest chunk whose length fits into the two bytes that [`CHUNK_HEAD_BYTES_MAX`] counts for it.
+const CHUNK_BYTES_MAX: usize = 16_383;
+
+/// Answers a host for a player. `N`: bytes of the longest command, see [`receiver_bytes`] of
+/// [`COMMAND_BYTES_MAX`](super::COMMAND_BYTES_MAX), or of [`CHUNK_HEAD_BYTES_MAX`] and the chunks of a blob.
 #[derive(Debug, Default)]
 pub struct Performer<const N: usize> {
     inbox: Inbox<N>,
@@ -40,13 +47,51 @@ impl<const N: usize> Performer<N> {
         }
     }
 
-    /// Takes the next byte of the line and does what a frame that ends there says.
+    /// Takes the next byte of the line and does what a frame that ends there says; blobs are not taken.
     pub fn hear<const CHANNELS: usize>(&mut self, byte: u8, player: &mut Player<'_, '_, CHANNELS>) {
+        self.hear_with(byte, player, 0, |_, _| Err(Refusal::NotSupported));
+    }
+
+    /// [`hear`](Self::hear), and takes blobs into `sink`, in chunks as long as `N` has room for. `true` where a blob
+    /// was committed: send the reports that wait, then reset, or make a new player of the new blob. A performer that is
+    /// kept knows its session, and repeats the acknowledgement if that got lost.
+    ///
+    /// [`Refusal::NotRelaxed`] where the servos are not released. After any refusal the player goes on with its
+    /// model, so `sink` must keep the blob that is played until the commit.
+    #[must_use = "the player plays from the blob of before"]
+    pub fn hear_or_load<const CHANNELS: usize>(
+        &mut self,
+        byte: u8,
+        player: &mut Player<'_, '_, CHANNELS>,
+        loader: &mut Loader,
+        sink: &mut impl BlobSink,
+    ) -> bool {
+        let room = N.saturating_sub(receiver_bytes(CHUNK_HEAD_BYTES_MAX)).min(CHUNK_BYTES_MAX);
+        let mut is_committed = false;
+        self.hear_with(byte, player, room as u16, |command, state| {
+            if state != PlayerState::Released {
+                return Err(Refusal::NotRelaxed);
+            }
+            loader.obey(command, sink)?;
+            is_committed = *command == Command::LoadCommit;
+            Ok(())
+        });
+        is_committed
+    }
+
+    fn hear_with<const CHANNELS: usize>(
+        &mut self,
+        byte: u8,
+        player: &mut Player<'_, '_, CHANNELS>,
+        chunk_bytes_max: u16,
+        load: impl FnOnce(&Command<'_>, PlayerState) -> Result<(), Refusal>,
+    ) {
         let (sequence, outcome, answer) = match self.inbox.push(byte) {
             None => return,
             Some(Arrival::Answer(report)) => return self.report(report),
             Some(Arrival::Act { sequence, command }) => {
-                (sequence, obey(&command, player), answer(&command, player))
+                let outcome = obey(&command, player, load);
+                (sequence, outcome, answer(&command, player, chunk_bytes_max))
             }
         };
         let report = self.inbox.answer(sequence, outcome);
@@ -90,10 +135,11 @@ impl<const N: usize> Performer<N> {
     }
 }
 
-/// Does what a command says.
+/// Does what a command says; `load`: what to do with those that bring a blob.
 fn obey<const CHANNELS: usize>(
     command: &Command<'_>,
     player: &mut Player<'_, '_, CHANNELS>,
+    load: impl FnOnce(&Command<'_>, PlayerState) -> Result<(), Refusal>,
 ) -> Result<(), Refusal> {
     match *command {
         Command::Hello | Command::Query => {}
@@ -111,7 +157,7 @@ fn obey<const CHANNELS: usize>(
             player.idle((0..count).filter(is_chosen).map(ActionId));
         }
         Command::LoadBegin { .. } | Command::LoadChunk { .. } | Command::LoadCommit => {
-            return Err(Refusal::NotSupported);
+            return load(command, player.state());
         }
     }
     Ok(())
@@ -154,21 +200,22 @@ fn turn<const CHANNELS: usize>(
 fn answer<const CHANNELS: usize>(
     command: &Command<'_>,
     player: &Player<'_, '_, CHANNELS>,
+    chunk_bytes_max: u16,
 ) -> Option<Report> {
     match command {
-        Command::Hello => Some(hello(player)),
+        Command::Hello => Some(hello(player, chunk_bytes_max)),
         Command::Query => Some(state(player)),
         _ => None,
     }
 }
 
-fn hello<const CHANNELS: usize>(player: &Player<'_, '_, CHANNELS>) -> Report {
+fn hello<const CHANNELS: usize>(player: &Player<'_, '_, CHANNELS>, chunk_bytes_max: u16) -> Report {
     let manifest = player.model().manifest();
     Report::Hello {
         model_hash: manifest.provenance.config_hash.first_chunk().copied().unwrap_or_default(),
         action_count: manifest.action_count,
         servo_count: player.command().pulses_us().len() as u8,
-        chunk_bytes_max: 0,
+        chunk_bytes_max,
     }
 }
 

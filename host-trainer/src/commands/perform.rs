@@ -5,8 +5,9 @@ use std::io::{BufRead as _, Read, Write};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+use indicatif::{ProgressBar, ProgressStyle};
 use karakuri::Model;
-use karakuri::link::{Command, Report};
+use karakuri::link::{Command, Refusal, Report};
 use serde::Serialize;
 
 use crate::error::{Error, Result};
@@ -34,6 +35,9 @@ pub struct PerformArgs {
     /// Blob that the body plays from: names its actions, and is compared with what the body says.
     #[arg(long, value_name = "FILE.kara")]
     pub model: Option<PathBuf>,
+    /// Blob to send first: the body, which must be relaxed, takes it in place of its own and plays on from it.
+    #[arg(long, value_name = "FILE.kara", conflicts_with = "model")]
+    pub load: Option<PathBuf>,
     /// Script to play; without it, lines of standard input are obeyed as they come.
     #[arg(long, value_name = "FILE")]
     pub script: Option<PathBuf>,
@@ -45,6 +49,7 @@ pub struct PerformArgs {
 /// What happened.
 #[derive(Clone, Debug, Default, Serialize)]
 struct Outcome {
+    loaded_bytes: usize,
     commands: u32,
     refused: u32,
     resent: u32,
@@ -56,13 +61,14 @@ struct Outcome {
     pulses_us: Vec<u16>,
 }
 
-/// Plays a script, or what is typed.
+/// Sends a blob if there is one to send, then plays a script, or what is typed.
 ///
 /// # Errors
-/// A script that cannot be read, a port that fails, a body that does not answer, that plays from another model, or
-/// that refuses a line of a script; it is then told to stop.
+/// A blob or a script that cannot be read, a port that fails, a body that does not answer, that refuses the blob, that
+/// plays from another model, or that refuses a line of a script; it is then told to stop.
 pub fn run(args: &PerformArgs) -> Result<()> {
-    let blob = args.model.as_deref().map(|path| Ok((path, read_blob(path)?))).transpose()?;
+    let played = args.load.as_deref().or(args.model.as_deref());
+    let blob = played.map(|path| Ok((path, read_blob(path)?))).transpose()?;
     let model = blob.as_ref().map(|(path, blob)| load(path, blob)).transpose()?;
     let mut reader = Reader::new(model.as_ref());
     let script = args.script.as_deref().map(|path| read_script(path, &mut reader)).transpose()?;
@@ -73,6 +79,9 @@ pub fn run(args: &PerformArgs) -> Result<()> {
         start: Instant::now(),
         outcome: Outcome::default(),
     };
+    if let (Some(_), Some((path, blob))) = (&args.load, &blob) {
+        stage.load(path, blob)?;
+    }
     stage.greet(model.as_ref(), &args.serial)?;
     match script {
         Some(cues) => stage.play(&cues)?,
@@ -96,6 +105,20 @@ fn read_script(path: &Path, reader: &mut Reader<'_, '_>) -> Result<Vec<Cue>> {
     Ok(cues)
 }
 
+/// The body's model with the user's, where the report says which it is.
+fn compare(report: &Report, model: Option<&Model<'_>>, port: &Path) -> Result<()> {
+    match (report, model) {
+        (Report::Hello { model_hash, .. }, Some(model))
+            if !model.manifest().provenance.config_hash.starts_with(model_hash) =>
+        {
+            let remedy = "give --model the blob that was flashed, or --load this one";
+            let value = format!("{model_hash:02x?}");
+            Err(Error::bad_input(port, "model", value, "that of --model", remedy))
+        }
+        _ => Ok(()),
+    }
+}
+
 struct Stage<Port> {
     session: Session<Port>,
     start: Instant,
@@ -103,18 +126,43 @@ struct Stage<Port> {
 }
 
 impl<Port: Read + Write> Stage<Port> {
+    /// Has the body play from another blob.
+    fn load(&mut self, path: &Path, blob: &[u8]) -> Result<()> {
+        let style =
+            ProgressStyle::with_template("loading {wide_bar} {bytes}/{total_bytes}, {eta} left")
+                .unwrap_or_else(|_| ProgressStyle::default_bar());
+        let bar = ProgressBar::new(blob.len() as u64).with_style(style);
+        let answer = self.session.load(blob, |sent| bar.set_position(sent as u64));
+        bar.finish_and_clear();
+        answer?.map_err(|reason| {
+            let remedy = match reason {
+                Refusal::NotRelaxed => {
+                    "tell the body `relax` where it lies safely, then load again"
+                }
+                Refusal::NotSupported => "flash the blob: this firmware takes none over the line",
+                Refusal::BlobTooLarge => "`host-trainer quantize` a smaller one",
+                Refusal::BadBlob => "quantise it for the firmware that the body has",
+                _ => "load it again; the body keeps the blob of before",
+            };
+            let field = "the body's answer to the blob";
+            Error::bad_input(path, field, format!("{reason:?}"), "that it takes it", remedy)
+        })?;
+        self.outcome.loaded_bytes = blob.len();
+        eprintln!("{:8.2} s  loaded {} bytes", self.start.elapsed().as_secs_f64(), blob.len());
+        Ok(())
+    }
+
     /// Compares the body's model with the user's.
     fn greet(&mut self, model: Option<&Model<'_>>, port: &Path) -> Result<()> {
-        self.session.listen(Instant::now() + Duration::from_millis(500))?;
-        while let Some(report) = self.session.take_report() {
-            if let (Report::Hello { model_hash, .. }, Some(model)) = (&report, model)
-                && !model.manifest().provenance.config_hash.starts_with(model_hash)
-            {
-                let remedy = "give --model the blob that was flashed, or flash this one";
-                let value = format!("{model_hash:02x?}");
-                return Err(Error::bad_input(port, "model", value, "that of --model", remedy));
+        let until = Instant::now() + Duration::from_millis(500);
+        let mut is_greeted = false;
+        while !is_greeted && Instant::now() < until {
+            self.session.listen(until)?;
+            while let Some(report) = self.session.take_report() {
+                is_greeted |= matches!(report, Report::Hello { .. });
+                compare(&report, model, port)?;
+                self.tell(report);
             }
-            self.tell(report);
         }
         Ok(())
     }

@@ -21,7 +21,8 @@ Lines of a script: seconds from the start (without: at once), a word, what belon
 Actions are numbers, or names if --model says which.
 
 Example:
-  host-trainer perform --serial /dev/ttyACM0 --model creature.kara --script day.txt";
+  host-trainer perform --serial /dev/ttyACM0 --model creature.kara --script day.txt
+  host-trainer perform --serial /dev/ttyACM0 --load creature.kara   sends the blob first";
 
 /// A command and when to give it.
 #[derive(Clone, Copy, Debug, PartialEq)]

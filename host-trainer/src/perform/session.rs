@@ -1,7 +1,9 @@
 //! The host's end of the link: a command counts when the body says so, and is sent again until it does.
 //!
-//! In:  commands; bytes of a port that waits only shortly.
+//! In:  commands, blobs; bytes of a port that waits only shortly.
 //! Out: what the body answers, and everything else that it reports.
+
+mod load;
 
 use std::collections::VecDeque;
 use std::io::{ErrorKind, Read, Write};
@@ -9,8 +11,8 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use karakuri::link::{
-    COMMAND_BYTES_MAX, Command, LinkError, REPORT_BYTES_MAX, Receiver, Refusal, Report,
-    frame_bytes_max, receiver_bytes,
+    CHUNK_HEAD_BYTES_MAX, COMMAND_BYTES_MAX, Command, LinkError, REPORT_BYTES_MAX, Receiver,
+    Refusal, Report, frame_bytes_max, receiver_bytes,
 };
 
 use crate::error::{Error, Result};
@@ -20,6 +22,9 @@ const ATTEMPTS: u32 = 4;
 
 /// How long one answer may take.
 const ANSWER_TIME: Duration = Duration::from_millis(400);
+
+/// How long an answer may still take after the body heard something broken: that may have been noise before the frame.
+const AFTER_NOISE: Duration = Duration::from_millis(50);
 
 /// A body that has answered.
 pub struct Session<Port> {
@@ -50,19 +55,35 @@ impl<Port: Read + Write> Session<Port> {
     /// [`Error::Io`] where the port fails, [`Error::BadInput`] where nobody answers or the body speaks a newer
     /// protocol.
     pub fn command(&mut self, command: &Command<'_>) -> Result<std::result::Result<(), Refusal>> {
+        self.command_within(command, ANSWER_TIME)
+    }
+
+    /// [`command`](Self::command) with another time for each answer.
+    fn command_within(
+        &mut self,
+        command: &Command<'_>,
+        answer_time: Duration,
+    ) -> Result<std::result::Result<(), Refusal>> {
         self.sequence = self.sequence.wrapping_add(1);
-        let mut buffer = [0; frame_bytes_max(COMMAND_BYTES_MAX)];
+        let message_bytes = match command {
+            Command::LoadChunk { bytes, .. } => CHUNK_HEAD_BYTES_MAX + bytes.len(),
+            _ => COMMAND_BYTES_MAX,
+        };
+        let mut buffer = vec![0; frame_bytes_max(message_bytes)];
         let frame = command.encode(self.sequence, &mut buffer);
         let frame = frame.map_err(|error| self.broken(error))?;
         for attempt in 0..ATTEMPTS {
             self.resent += u32::from(attempt > 0);
             let written = self.port.write_all(frame).and_then(|()| self.port.flush());
             written.map_err(Error::io("write to", &self.name))?;
-            if let Some(answer) = self.answer()? {
+            if let Some(answer) = self.answer(answer_time)? {
                 return Ok(answer);
             }
         }
-        let field = format!("answer to {command:?}");
+        let field = match command {
+            Command::LoadChunk { offset, .. } => format!("answer to LoadChunk at byte {offset}"),
+            command => format!("answer to {command:?}"),
+        };
         let value = format!("none to {ATTEMPTS} frames");
         let remedy = "check cable and --baud, and that the firmware uses karakuri::link";
         Err(Error::bad_input(&self.name, field, value, "an acknowledgement", remedy))
@@ -98,8 +119,11 @@ impl<Port: Read + Write> Session<Port> {
     }
 
     /// The answer to the last frame; `None` where it has to be sent again.
-    fn answer(&mut self) -> Result<Option<std::result::Result<(), Refusal>>> {
-        let until = Instant::now() + ANSWER_TIME;
+    fn answer(
+        &mut self,
+        answer_time: Duration,
+    ) -> Result<Option<std::result::Result<(), Refusal>>> {
+        let mut until = Instant::now() + answer_time;
         while Instant::now() < until {
             match self.receive()? {
                 Some(Report::Ack { sequence }) if sequence == self.sequence => {
@@ -110,7 +134,7 @@ impl<Port: Read + Write> Session<Port> {
                 }
                 // Answers to what was sent twice.
                 Some(Report::Ack { .. } | Report::Refused { .. }) | None => {}
-                Some(Report::Broken { .. }) => return Ok(None),
+                Some(Report::Broken { .. }) => until = until.min(Instant::now() + AFTER_NOISE),
                 Some(report) => self.reports.push_back(report),
             }
         }

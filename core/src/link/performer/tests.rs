@@ -4,7 +4,7 @@ use std::vec::Vec;
 
 use super::*;
 use crate::fault::Fault;
-use crate::link::{COMMAND_BYTES_MAX, LinkError, receiver_bytes};
+use crate::link::{COMMAND_BYTES_MAX, LinkError, SinkError, receiver_bytes};
 use crate::manifest::SamplerKind;
 use crate::servo_map::{ServoLimits, ServoMap};
 use crate::specimen::specimen;
@@ -106,6 +106,132 @@ fn body_does_as_it_is_told_and_says_so() {
             panic!("{:?}", line.telemetry(body));
         };
         assert_eq!(pulses_us, [0], "released");
+    });
+}
+
+/// Room for 20 bytes, and no liking for zeros.
+#[derive(Default)]
+struct Shelf(Vec<u8>);
+
+impl BlobSink for Shelf {
+    fn begin(&mut self, len_bytes: u32) -> Result<(), SinkError> {
+        self.0.clear();
+        if len_bytes > 20 { Err(SinkError::TooLarge) } else { Ok(()) }
+    }
+
+    fn write(&mut self, _: u32, bytes: &[u8]) -> Result<(), SinkError> {
+        self.0.extend(bytes);
+        Ok(())
+    }
+
+    fn commit(&mut self, _: u32) -> Result<(), SinkError> {
+        if self.0.contains(&0) { Err(SinkError::Rejected) } else { Ok(()) }
+    }
+}
+
+/// A line, a body and what takes blobs; frames are numbered.
+struct Dock<'a, 'm, 'w> {
+    line: &'a mut Line,
+    body: &'a mut Body<'m, 'w>,
+    loader: Loader,
+    shelf: Shelf,
+    sequence: u16,
+}
+
+impl Dock<'_, '_, '_> {
+    /// The outcome of a command, and whether a blob was committed.
+    fn send(&mut self, command: Command<'_>) -> (Result<(), Refusal>, bool) {
+        self.sequence += 1;
+        self.send_again(command)
+    }
+
+    fn send_again(&mut self, command: Command<'_>) -> (Result<(), Refusal>, bool) {
+        let mut buffer = [0; 64];
+        let frame = command.encode(self.sequence, &mut buffer).unwrap();
+        let committed = frame.iter().fold(false, |committed, &byte| {
+            let Self { line, body, loader, shelf, .. } = self;
+            line.hear_or_load(byte, body, loader, shelf) | committed
+        });
+        let outcome = match self.line.take_report() {
+            Some(Report::Ack { .. }) => Ok(()),
+            Some(Report::Refused { reason, .. }) => Err(reason),
+            report => panic!("{report:?}"),
+        };
+        (outcome, committed)
+    }
+
+    /// All of a blob in pieces of ten bytes.
+    fn load(&mut self, blob: &[u8], crc: u32) -> (Result<(), Refusal>, bool) {
+        let begin = Command::LoadBegin { len_bytes: blob.len() as u32, crc };
+        assert_eq!(self.send(begin), (Ok(()), false));
+        for (index, bytes) in blob.chunks(10).enumerate() {
+            let offset = index as u32 * 10;
+            assert_eq!(self.send(Command::LoadChunk { offset, bytes }), (Ok(()), false));
+        }
+        self.send(Command::LoadCommit)
+    }
+}
+
+fn with_dock(test: impl FnOnce(Dock<'_, '_, '_>)) {
+    with_body(|line, body| {
+        let (loader, shelf) = (Loader::new(), Shelf::default());
+        let mut dock = Dock { line, body, loader, shelf, sequence: 0 };
+        assert_eq!(dock.send(Command::Hello).0, Ok(()));
+        let Some(Report::Hello { chunk_bytes_max: 15, .. }) = dock.line.take_report() else {
+            panic!("no chunks are offered");
+        };
+        test(dock);
+    });
+}
+
+const BLOB: [u8; 15] = [0x5A; 15];
+
+#[test]
+fn body_whose_servos_are_on_takes_no_blob() {
+    with_dock(|mut dock| {
+        let begin = Command::LoadBegin { len_bytes: 15, crc: 0 };
+        dock.send(Command::Wake).0.unwrap();
+        dock.body.tick(20_000);
+        assert_eq!(dock.send(begin), (Err(Refusal::NotRelaxed), false));
+        dock.send(Command::Hold).0.unwrap();
+        assert_eq!(dock.send(begin), (Err(Refusal::NotRelaxed), false), "holding is not enough");
+        dock.send(Command::Relax).0.unwrap();
+        assert_eq!(dock.send(begin), (Ok(()), false));
+        dock.send(Command::Wake).0.unwrap();
+        let chunk = Command::LoadChunk { offset: 0, bytes: &BLOB };
+        assert_eq!(dock.send(chunk), (Err(Refusal::NotRelaxed), false), "nor between pieces");
+    });
+}
+
+#[test]
+fn blob_that_is_no_good_is_refused_by_name_and_the_old_one_is_played() {
+    with_dock(|mut dock| {
+        let large = Command::LoadBegin { len_bytes: 21, crc: 0 };
+        assert_eq!(dock.send(large), (Err(Refusal::BlobTooLarge), false));
+        let crc = crate::crc32::crc32([BLOB.as_slice()]);
+        assert_eq!(dock.load(&BLOB, !crc), (Err(Refusal::WrongChecksum), false));
+        let crc_of_zeros = crate::crc32::crc32([[0; 15].as_slice()]);
+        assert_eq!(dock.load(&[0; 15], crc_of_zeros), (Err(Refusal::BadBlob), false));
+        dock.send(Command::LoadBegin { len_bytes: 15, crc }).0.unwrap();
+        let gap = Command::LoadChunk { offset: 1, bytes: &BLOB[1..] };
+        let missing = (Err(Refusal::WrongOffset { expected: 0 }), false);
+        assert_eq!(dock.send(gap), missing);
+        assert_eq!(dock.send(Command::LoadCommit), missing);
+        dock.send(Command::Wake).0.unwrap();
+        dock.body.tick(20_000);
+        let play = motion(dock.body);
+        assert_eq!(dock.send(Command::Play(play)), (Ok(()), false));
+    });
+}
+
+#[test]
+fn program_is_told_once_of_a_new_blob() {
+    with_dock(|mut dock| {
+        let crc = crate::crc32::crc32([BLOB.as_slice()]);
+        assert_eq!(dock.load(&BLOB, crc), (Ok(()), true));
+        assert_eq!(dock.shelf.0, BLOB);
+        assert_eq!(dock.send_again(Command::LoadCommit), (Ok(()), false), "its answer got lost");
+        assert_eq!(dock.send(Command::LoadCommit), (Err(Refusal::NotBegun), false));
     });
 }
 
