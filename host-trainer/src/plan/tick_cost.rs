@@ -9,9 +9,10 @@
 //! firmware-sim perform MODEL --script FILE --minutes 0.16 --tick-hz 100 --target cortex-m4 --count
 //! ```
 //!
-//! of the golden `w8a16` with 1 and 11 servos, of a model with 72 channels, and at 50 ticks a second with
-//! `--frames-per-key 2`. Player and stage are portable integer code, so the M7 and M33 are as the M4. RAM is what the
-//! types take.
+//! with the script `0 wake; 0.2 idle all; 0.3 dial stillness 0.3; 2 play nod 2 seed 7 over 300; 5 play greet 3 seed
+//! 9 over 400`, of the golden `w8a16` with 1 and 11 servos, of a model with 72 channels (idling only), and at 50
+//! ticks a second with `--frames-per-key 2`. Player and stage are portable integer code, so the M7 and M33 are as
+//! the M4. RAM is what the types take.
 
 use karakuri::Player;
 
