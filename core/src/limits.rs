@@ -15,10 +15,10 @@ pub const SERVOS_MAX: usize = 32;
 /// Channels of one [`Overlay`](crate::Overlay): a gaze has three or four, a breath about as many.
 pub const OVERLAY_CHANNELS_MAX: usize = 8;
 
-/// Overlays of one [`Player`](crate::Player), about 110 bytes each: breath, gaze, lids and jaw.
+/// Overlays of one [`Player`](crate::Player), 160 bytes each: breath, gaze, lids and jaw.
 pub const OVERLAYS_MAX: usize = 4;
 
-/// Motions that wait in a [`Player`](crate::Player), about 60 bytes each.
+/// Motions that wait in a [`Player`](crate::Player), 56 bytes each.
 pub const QUEUE_MAX: usize = 4;
 
 /// Markers of one motion, 8 bytes each.

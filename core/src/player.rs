@@ -552,6 +552,10 @@ mod tests {
         };
         assert!(bytes(9) <= 6300 && bytes(73) - bytes(9) == 64 * 24, "{}", bytes(9));
         assert!(size_of::<Voice<'_, '_, 9>>() <= 2450);
+        assert_eq!(
+            [size_of::<Overlay>(), size_of::<Intent>(), size_of::<crate::Marker>()],
+            [160, 56, 8]
+        );
     }
 
     #[test]

@@ -46,12 +46,7 @@ pub enum Deed {
     SoftStop,
     Relax,
     ClearFault,
-    Dials {
-        intensity_q12: u16,
-        rate_q12: u16,
-        stillness_q12: u16,
-        variety_q12: u16,
-    },
+    Dials(Dials),
     /// Lay a breath over one channel: crest in Q15.16 channel units.
     Breathe {
         channel: u16,
@@ -76,16 +71,13 @@ impl Cue {
 
     /// The stored form.
     pub fn to_bytes(&self) -> [u8; Self::BYTES] {
-        let motion = |kind, action, duration_ms, seed, transition_ms| {
-            (kind, action, duration_ms, seed, transition_ms)
-        };
         let (kind, a, b, c, d): (u16, u16, u32, u32, u16) = match self.deed {
             Deed::Wake => (0, 0, 0, 0, 0),
             Deed::Play { action, duration_ms, seed, transition_ms } => {
-                motion(1, action, duration_ms, seed, transition_ms)
+                (1, action, duration_ms, seed, transition_ms)
             }
             Deed::Then { action, duration_ms, seed, transition_ms } => {
-                motion(2, action, duration_ms, seed, transition_ms)
+                (2, action, duration_ms, seed, transition_ms)
             }
             Deed::Idle { actions } => (3, 0, actions as u32, (actions >> 32) as u32, 0),
             Deed::Hold => (4, 0, 0, 0, 0),
@@ -93,7 +85,7 @@ impl Cue {
             Deed::SoftStop => (6, 0, 0, 0, 0),
             Deed::Relax => (7, 0, 0, 0, 0),
             Deed::ClearFault => (8, 0, 0, 0, 0),
-            Deed::Dials { intensity_q12, rate_q12, stillness_q12, variety_q12 } => {
+            Deed::Dials(Dials { intensity_q12, rate_q12, stillness_q12, variety_q12 }) => {
                 (9, intensity_q12, rate_q12.into(), stillness_q12.into(), variety_q12)
             }
             Deed::Breathe { channel, crest_q16, period_ms } => {
@@ -127,12 +119,12 @@ impl Cue {
             6 => Deed::SoftStop,
             7 => Deed::Relax,
             8 => Deed::ClearFault,
-            9 => Deed::Dials {
+            9 => Deed::Dials(Dials {
                 intensity_q12: a,
                 rate_q12: b as u16,
                 stillness_q12: c as u16,
                 variety_q12: d,
-            },
+            }),
             10 => Deed::Breathe { channel: a, crest_q16: b.cast_signed(), period_ms: d },
             11 => Deed::Late { by_us: b },
             12 => Deed::BrownOut,
@@ -266,9 +258,7 @@ fn tell<const CHANNELS: usize>(
         Deed::SoftStop => player.soft_stop(),
         Deed::Relax => player.relax(),
         Deed::ClearFault => player.clear_fault(),
-        Deed::Dials { intensity_q12, rate_q12, stillness_q12, variety_q12 } => {
-            player.set_dials(Dials { intensity_q12, rate_q12, stillness_q12, variety_q12 });
-        }
+        Deed::Dials(dials) => player.set_dials(dials),
         Deed::Breathe { channel, crest_q16, period_ms } => {
             let mut breath = Overlay::new(OverlayKind::Breathe { period_ms }, &[channel])?;
             breath.aim(&[crest_q16], 0);
@@ -309,7 +299,12 @@ mod tests {
             Deed::SoftStop,
             Deed::Relax,
             Deed::ClearFault,
-            Deed::Dials { intensity_q12: 1, rate_q12: 2, stillness_q12: 3, variety_q12: 0xffff },
+            Deed::Dials(Dials {
+                intensity_q12: 1,
+                rate_q12: 2,
+                stillness_q12: 3,
+                variety_q12: 0xffff,
+            }),
             Deed::Breathe { channel: 7, crest_q16: -5, period_ms: 4000 },
             Deed::Late { by_us: 123_456 },
             Deed::BrownOut,

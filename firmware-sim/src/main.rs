@@ -15,7 +15,7 @@ struct Arguments {
     verb: Verb,
 }
 
-const EXIT_CODES: &str = "Exit codes: 0 done and equal, 1 a difference beyond the format's promise, \
+const EXIT_CODES: &str = "Exit codes: 0 done and equal, 1 a difference beyond the format's promise or a limit broken, \
     2 wrong usage, 3 bad input, 4 input/output, 5 bad blob, 6 missing tool, 7 firmware failed";
 
 #[derive(Subcommand)]

@@ -1,4 +1,4 @@
-//! Station 12: a character on the host, in virtual time, with servos that are not there.
+//! Station 11: a character on the host, in virtual time, with servos that are not there.
 //!
 //! In:  a [`Model`] with the calibration of its servos, cues, [`Options`].
 //! Out: a [`Performance`]: every tick, and what is to be known of the hour.
@@ -169,7 +169,6 @@ fn refused(refusal: Refusal) -> Error {
 
 /// What is outside the chip: servos, a bus that loses commands, a judge.
 struct World {
-    maps: Vec<ServoMap>,
     servos: Vec<VirtualServo>,
     monitor: Monitor,
     /// First tick and number of those whose commands are lost.
@@ -190,10 +189,9 @@ impl World {
         let parked = |map: &ServoMap| VirtualServo::new(HOBBY_SERVO, map.pulse_us_park().into());
         Self {
             servos: maps.iter().map(parked).collect(),
-            monitor: Monitor::new(maps.clone()),
-            losses: losses.collect(),
             sent: vec![None; maps.len()],
-            maps,
+            monitor: Monitor::new(maps),
+            losses: losses.collect(),
             time_us: 0,
             ticks: Vec::new(),
             numbers: Vec::new(),
@@ -205,7 +203,6 @@ impl World {
         self.time_us += u64::from(elapsed_us);
         let pulse = |number: &i32| u16::try_from(*number).ok().filter(|pulse_us| *pulse_us > 0);
         let pulses_us: Vec<Option<u16>> = numbers[1..].iter().map(pulse).collect();
-        debug_assert_eq!(pulses_us.len(), self.maps.len());
         self.violations.append(&mut self.monitor.judge(tick, elapsed_us, &pulses_us));
         let is_lost =
             self.losses.iter().any(|(first, count)| (*first..first + count).contains(&tick));

@@ -5,7 +5,7 @@
 //!
 //! Why here: what a builder wants to try is a line, not a program. Every line is checked before the first tick.
 
-use karakuri::{ActionId, Model};
+use karakuri::{ActionId, Dials, Model};
 
 use crate::cue::{Cue, Deed};
 use crate::error::{Error, Result};
@@ -35,7 +35,7 @@ Lines of a script: seconds, a word, what belongs to it; # begins a comment.
 /// [`Error::BadInput`]: an unknown word, action or channel, a length that was never trained, a number that is none,
 /// times that go back; each with its line.
 pub fn read(text: &str, model: &Model<'_>, tick_hz: u32) -> Result<Vec<Cue>> {
-    let mut reader = Reader { model, tick_hz, dials: [4096, 4096, 2731, 4096], last_tick: 0 };
+    let mut reader = Reader { model, tick_hz, dials: Dials::NEUTRAL, last_tick: 0 };
     let mut cues = Vec::new();
     for (index, line) in text.lines().enumerate() {
         let words: Vec<&str> =
@@ -68,7 +68,7 @@ struct Reader<'a, 'm> {
     model: &'a Model<'m>,
     tick_hz: u32,
     /// As the last line about them left them.
-    dials: [u16; 4],
+    dials: Dials,
     last_tick: u32,
 }
 
@@ -155,9 +155,14 @@ impl Reader<'_, '_> {
             let range = &ranges[place];
             return Err(Wrong::new(value, format!("{} to {}", range.start(), range.end())));
         }
-        self.dials[place] = (turned * 4096.0).round() as u16;
-        let [intensity_q12, rate_q12, stillness_q12, variety_q12] = self.dials;
-        Ok(Deed::Dials { intensity_q12, rate_q12, stillness_q12, variety_q12 })
+        let q12 = (turned * f64::from(Dials::ONE_Q12)).round() as u16;
+        match place {
+            0 => self.dials.intensity_q12 = q12,
+            1 => self.dials.rate_q12 = q12,
+            2 => self.dials.stillness_q12 = q12,
+            _ => self.dials.variety_q12 = q12,
+        }
+        Ok(Deed::Dials(self.dials))
     }
 
     fn breathe(&self, channel: &str, crest: &str, period_s: &str) -> Line<Deed> {
@@ -250,12 +255,8 @@ mod tests {
         let text = "# a day\n0 wake\n\n1.5 play write 1.2 seed 7 # slowly\n2 then write 1.2 over 300\n\
                     3 dial rate 2\n3 dial stillness 0.5\n4 idle all\n5 late 40\n6 brown-out\n";
         let cues = read_with(text).unwrap();
-        let rated = |stillness_q12| Deed::Dials {
-            intensity_q12: 4096,
-            rate_q12: 8192,
-            stillness_q12,
-            variety_q12: 4096,
-        };
+        let rated =
+            |stillness_q12| Deed::Dials(Dials { rate_q12: 8192, stillness_q12, ..Dials::NEUTRAL });
         let [_, play, then, rate, stillness, idle, late, out] = cues[..] else {
             panic!("{cues:?}")
         };

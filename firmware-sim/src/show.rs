@@ -6,7 +6,7 @@
 //! Why here: limits must hold not only in a calm hour. Mostly the character idles; every quarter to three quarters of a
 //! minute somebody wants something of it, interrupts it, or something breaks.
 
-use karakuri::{ActionId, Model, Pcg32};
+use karakuri::{ActionId, Dials, Model, Pcg32};
 
 use crate::cue::{Cue, Deed};
 
@@ -132,12 +132,12 @@ impl Show<'_, '_> {
     }
 
     fn turn_dials(&mut self, at_ms: u32) {
-        let deed = Deed::Dials {
+        let deed = Deed::Dials(Dials {
             intensity_q12: 2048 + self.below(4096) as u16,
             rate_q12: 2048 + self.below(4096) as u16,
             stillness_q12: 1024 + self.below(2560) as u16,
             variety_q12: 2048 + self.below(6144) as u16,
-        };
+        });
         self.cue(at_ms, deed);
     }
 }

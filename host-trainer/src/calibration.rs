@@ -14,14 +14,15 @@ use std::collections::HashSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use karakuri::ServoMap;
 use karakuri::limits::SERVOS_MAX;
 use karakuri::servo_records::{OSCILLATOR_HZ, servos_bytes, with_servos};
-use karakuri::{Model, ServoMap};
 use serde::Deserialize;
 
 use crate::error::{Error, Result};
+use crate::generate::layout_of;
 use crate::inspect::blob::load;
-use crate::layout::{Group, GroupKind, PoseLayout};
+use crate::layout::{GroupKind, PoseLayout};
 use servo_row::ServoRow;
 
 /// The slowest and the fastest oscillator that a PCA9685 may have, Hz.
@@ -205,22 +206,12 @@ impl Calibration {
     }
 }
 
-/// The layout of a model's poses.
-pub fn layout_of(model: &Model<'_>) -> PoseLayout {
-    let groups = model.groups().map(|group| Group {
-        name: group.name.to_owned(),
-        kind: group.kind,
-        unit: group.unit,
-    });
-    PoseLayout { groups: groups.collect() }
-}
-
 #[cfg(test)]
 mod tests {
     use karakuri::{Axis, AxisOrder, ServoLimits};
 
     use super::*;
-    use crate::layout::Unit;
+    use crate::layout::{Group, Unit};
 
     const JAW: &str = "[[servo]]\nchannel = \"jaw\"\noutput = 3\nmin_us = 1000\nneutral_us = 1400\n\
         max_us = 2000\nus_per_degree = 10\nspeed_us_per_s = 2000\nacceleration_us_per_s2 = 20000\n";

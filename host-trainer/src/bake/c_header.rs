@@ -83,10 +83,7 @@ mod tests {
     fn numbers_come_back() {
         let motions = specimen::character(3);
         let servos = specimen::servos(&motions[0]);
-        let tracks: Vec<_> = motions
-            .iter()
-            .map(|motion| PulseTrack::new(motion, &servos, &mut Vec::new()))
-            .collect();
+        let tracks = specimen::tracks(&motions, &servos);
         let text = emit(&tracks);
         assert!(text.contains("blob CRC-32 deadbeef") && text.contains("seed 3"));
         for track in &tracks {

@@ -214,10 +214,7 @@ mod tests {
     fn sequences_come_back_within_a_quarter_microsecond() {
         let motions = specimen::character(3);
         let servos = specimen::servos(&motions[0]);
-        let tracks: Vec<_> = motions
-            .iter()
-            .map(|motion| PulseTrack::new(motion, &servos, &mut Vec::new()))
-            .collect();
+        let tracks = specimen::tracks(&motions, &servos);
         let tags = tags(&emit(&tracks, &mut Vec::new()).unwrap());
         let channels: Vec<&str> = tags
             .iter()

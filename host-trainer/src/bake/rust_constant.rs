@@ -55,10 +55,7 @@ mod tests {
     fn numbers_come_back() {
         let motions = specimen::character(2);
         let servos = specimen::servos(&motions[0]);
-        let tracks: Vec<_> = motions
-            .iter()
-            .map(|motion| PulseTrack::new(motion, &servos, &mut Vec::new()))
-            .collect();
+        let tracks = specimen::tracks(&motions, &servos);
         let text = emit(&tracks);
         for track in &tracks {
             let name = format!("{}_US: [[u16; ", identifier(track.motion).to_uppercase());

@@ -2,6 +2,7 @@
 
 use karakuri::{ServoLimits, ServoMap};
 
+use crate::bake::pulse_track::PulseTrack;
 use crate::bake::servo::{DEFAULT_LIMITS, default_servos};
 use crate::calibration::Servo;
 use crate::character;
@@ -40,6 +41,11 @@ pub fn character(count: usize) -> Vec<Motion> {
 /// Servos by default.
 pub fn servos(motion: &Motion) -> Vec<Servo> {
     default_servos(&motion.layout).unwrap()
+}
+
+/// What the servos do in each motion; what was clamped is not asked for.
+pub fn tracks<'m>(motions: &'m [Motion], servos: &'m [Servo]) -> Vec<PulseTrack<'m>> {
+    motions.iter().map(|motion| PulseTrack::new(motion, servos, &mut Vec::new())).collect()
 }
 
 /// A servo of the first channel at 10 µs per degree.

@@ -3,10 +3,11 @@
 use std::path::{Path, PathBuf};
 
 use crate::atomic_file::{self, Overwrite};
+use crate::calibration::Calibration;
 use crate::calibration::template::template;
-use crate::calibration::{Calibration, layout_of};
 use crate::checkpoint::Checkpoint;
 use crate::error::Result;
+use crate::generate::layout_of;
 use crate::inspect::blob::{load, read_blob};
 use crate::layout::PoseLayout;
 use crate::stdout::print;
